@@ -190,7 +190,7 @@ class InertialSensors:
             self._chip[at] = value
 
     def restart_fusion(self) -> None:
-        """Restart the fusion: the present heading becomes zero, leaked acceleration is cleared."""
+        """Restart the fusion: clear leaked acceleration and the last rate; the heading is kept."""
         for at in (
             output_sample.LEAK,
             output_sample.LEAK + 1,

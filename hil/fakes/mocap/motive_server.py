@@ -1,8 +1,8 @@
-"""The emulated Motive: frames of rigid bodies at its own rate and clock, and NatNet requests answered.
+"""The emulated Motive server: frames of rigid bodies at its own rate and clock, replies to NatNet requests.
 
-Unicast clients are those that have connected or shown a sign of life lately; frames go to the port
-they speak from, and those of the newest one to the data port of its host: public clients expect either.
-Who has joined the group that is offered besides gets each frame once.
+Unicast clients are those that have connected or sent a keep-alive recently. Frames go to the port from which
+a client sends and, for the newest client of a host, to its data port: public clients expect either. A client
+that has joined the multicast group offered in addition gets each frame once.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _ANSWER_NS = nanoseconds(0.0002)
 _RECEIVED_SHARE = 0.4
 _HEAD = struct.Struct("<HH")
 _BITSTREAM = slice(265, 267)
-"""Of a request to connect: the version that the client asks for, after its own description."""
+"""Part of a connection request that holds the version requested by the client, after its own description."""
 
 
 @dataclass
 class Client:
-    """A client.
+    """A connected client.
 
     Attributes:
-        outlet: the network it is on.
-        version: the bit stream it wants.
-        heard_ns: when it was last heard.
-        by_unicast: frames go to it. Where a group is offered besides, they do not before it is known that
-            it does not listen to the group.
+        outlet: network of the client.
+        version: bit stream version of its frames.
+        heard_ns: time of its last request.
+        by_unicast: whether frames go to it by unicast. With a multicast group offered in addition, they do so
+            only if it is known that the client does not listen to the group.
     """
 
     outlet: Outlet
@@ -52,21 +52,21 @@ class Client:
 
 
 class NatNetServer(Scheduled):
-    """A scheduled part of the world.
+    """NatNet server with its clients, cameras and faults.
 
     Args:
-        world: truth, seed and faults; the server registers itself.
-        name: device name, also of its faults.
+        world: truth, seed and faults; the server registers itself there.
+        name: device name of its faults.
         options: true imperfections.
         body, body_id: name and streaming id of the robot's rigid body.
         up_axis: streaming setting.
         version: NatNet version of the server, one of 3.1, 4.0, 4.1.
         command_port, data_port: port numbers.
-        multicast: group to stream to, None for unicast.
+        multicast: group to which frames are sent; None for unicast.
 
     Attributes:
-        malformed: requests that were no NatNet packets.
-        offered_group: multicast group that frames go to besides, where they go to each client; None for none.
+        malformed: number of requests that were too short for a NatNet packet.
+        offered_group: multicast group to which a unicast server also sends its frames; None for none.
     """
 
     Options = MocapTruthOptions
@@ -74,7 +74,7 @@ class NatNetServer(Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest) -> NatNetServer:
-        """The server of a table of the bench file, with the rigid body that the bench looks for."""
+        """Make the server, with the rigid body that the bench expects, from its table of the bench file."""
         config = request.config
         body = {"body": config.body} if isinstance(config.body, str) else {"body_id": config.body}
         options = request.options(cls.Options)
@@ -137,15 +137,15 @@ class NatNetServer(Scheduled):
         return self._world.now_ns
 
     def datagrams(self, group: str | None, port: int) -> WorldPort:
-        """A datagram port on the server's network in this process: the driver's `datagrams` factory."""
+        """Open a datagram port on the server's network in this process; the driver's `datagrams` factory."""
         return self._network.open(group, port)
 
     def attach(self, outlet: Outlet) -> None:
-        """Another network that multicast frames go to."""
+        """Add a network to which multicast frames are sent."""
         self._outlets.append(outlet)
 
     def detach(self, outlet: Outlet) -> None:
-        """A network is gone, and the clients on it."""
+        """Remove a network and its clients."""
         self._outlets = [o for o in self._outlets if o is not outlet]
         self._clients = {a: c for a, c in self._clients.items() if c.outlet is not outlet}
 
@@ -154,7 +154,7 @@ class NatNetServer(Scheduled):
         return self._due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Expose, and send the frame."""
+        """Expose and send one frame."""
         faults, options = None if self._faults.plan.empty else self._faults, self._options
         if faults is not None and faults.restarted(t_ns):
             self._clients.clear()
@@ -176,7 +176,7 @@ class NatNetServer(Scheduled):
         self._stream(ready_ns if ready_ns > self._arrived_ns else self._arrived_ns, t_ns)
 
     def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
-        """Take one request and answer it."""
+        """Answer one request."""
         if self._faults.cut_off(t_ns) or t_ns < self._boot_ns:
             return
         if len(data) < _HEAD.size:
@@ -188,7 +188,7 @@ class NatNetServer(Scheduled):
             self._send(answer, client, outlet, t_ns + _ANSWER_NS, t_ns)
 
     def _start(self, t_ns: int) -> None:
-        """The server's clock and frame counter begin (before the world did, if `t_ns` is negative)."""
+        """Start clock and frame counter of the server (before the world's start if `t_ns` is negative)."""
         self._started_ns, self._boot_ns = t_ns, max(t_ns, 0)
         self._number = round(max(0, -t_ns) * 1e-9 * self._options.rate_hz)
         self._last = None
@@ -260,7 +260,7 @@ class NatNetServer(Scheduled):
         return natnet_encoding.message(natnet_encoding.UNRECOGNISED)
 
     def _heard(self, kind: int, payload: bytes, known: Client | None, outlet: Outlet, t_ns: int) -> Client:
-        """A client that has shown a sign of life; those of a multicast group never keep a stream alive."""
+        """Return the client after its request; only unicast clients send keep-alives."""
         group, version = self.offered_group, self._version if known is None else known.version
         asked = tuple(payload[_BITSTREAM])
         if (
@@ -273,7 +273,7 @@ class NatNetServer(Scheduled):
         return Client(outlet, version, t_ns, alone or (known is not None and known.by_unicast))
 
     def _command(self, text: str, client: Client | None) -> bytes:
-        """Text requests: another bit stream (unicast, NatNet 4), frame rate, units."""
+        """Answer a text request: another bit stream (unicast, NatNet 4), frame rate, units."""
         if text == "FrameRate":
             return natnet_encoding.message(natnet_encoding.RESPONSE, struct.pack("<f", self._options.rate_hz))
         if text == "UnitsToMillimeters":

@@ -1,4 +1,4 @@
-"""NatNet packets as Motive sends them: 3.1, 4.0 and 4.1 (OptiTrack NatNet SDK)."""
+"""Encodes NatNet packets as Motive sends them: 3.1, 4.0 and 4.1 (OptiTrack NatNet SDK)."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class FrameTimes(NamedTuple):
 
 
 def message(identifier: int, payload: bytes = b"") -> bytes:
-    """A packet of one message."""
+    """Encode a packet with one message."""
     return _HEAD.pack(identifier, len(payload)) + payload
 
 
 def server_info(version: tuple[int, int], clock_hz: int, data_port: int, group: str | None) -> bytes:
-    """The server's description of itself."""
+    """Encode the description of the server."""
     address = bytes(int(part) for part in (group or "0.0.0.0").split("."))
     return message(
         SERVER_INFO,
@@ -50,7 +50,7 @@ def server_info(version: tuple[int, int], clock_hz: int, data_port: int, group: 
 
 
 def models(names: tuple[tuple[str, int], ...], version: tuple[int, int]) -> bytes:
-    """Definitions of the marker sets and rigid bodies."""
+    """Encode the definitions of marker sets and rigid bodies."""
     items = [(0, _marker_set_model(name)) for name, _ in (*names, ("all", 0))]
     items += [(1, _body_model(name, identifier, version)) for name, identifier in names]
     payload = _INT.pack(len(items))
@@ -71,7 +71,7 @@ def _body_model(name: str, identifier: int, version: tuple[int, int]) -> bytes:
 
 
 class Frames:
-    """Frames of capture data, packed by one template for the same bodies and version."""
+    """Encoder of frames, with a cached template per version and set of bodies."""
 
     def __init__(self) -> None:
         self._templates: dict[tuple[object, ...], _Template] = {}
@@ -79,7 +79,7 @@ class Frames:
     def frame(
         self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes, version: tuple[int, int]
     ) -> bytes:
-        """Encode one frame of mocap data."""
+        """Encode one frame of motion capture data."""
         names = tuple([(body.name, body.identifier) for body in bodies])
         template = self._templates.get((version, names))
         if template is None:
@@ -88,7 +88,7 @@ class Frames:
 
 
 class _Places(NamedTuple):
-    """Offsets of one body in a frame: its markers, twice, its pose, its labelled markers."""
+    """Byte offsets of one body in a frame: its markers (in two places), pose and labelled markers."""
 
     points: int
     points_in_all: int
@@ -97,18 +97,18 @@ class _Places(NamedTuple):
 
 
 class _Template:
-    """A frame of certain bodies, in which only what has changed is written anew.
+    """Encoded frame of a fixed set of bodies, in which only changed fields are rewritten.
 
     Args:
         names: name and streaming id of the bodies, in order.
-        version: of the bit stream.
+        version: bit stream version.
     """
 
     def __init__(self, names: tuple[tuple[str, int], ...], version: tuple[int, int]) -> None:
         sized, count = version >= (4, 1), len(names)
 
         def head(items: int, size: int) -> bytes:
-            """Beginning of a section."""
+            """Encode the head of a section."""
             return _PAIR.pack(items, size) if sized else _INT.pack(items)
 
         sets = [name.encode() + b"\0" + _INT.pack(4) for name, _ in names]
@@ -117,7 +117,7 @@ class _Template:
         frame, nothing = bytearray(_HEAD.size + _INT.size), head(0, 0)
 
         def room(size: int) -> int:
-            """A place that is written later."""
+            """Reserve bytes that are written later; returns their offset."""
             frame.extend(bytes(size))
             return len(frame) - size
 
@@ -141,7 +141,7 @@ class _Template:
         self._known: list[SeenBody | None] = [None] * count
 
     def filled(self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes) -> bytes:
-        """One frame; a body that is seen as before stands there already."""
+        """Return one encoded frame; unchanged bodies are not written again."""
         frame = self._frame
         _INT.pack_into(frame, _HEAD.size, number)
         for k, body in enumerate(bodies):

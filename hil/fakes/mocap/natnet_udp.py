@@ -1,4 +1,4 @@
-"""Serves the emulated capture system on real UDP, unicast and multicast, for any NatNet client."""
+"""Serves the emulated capture system on real UDP sockets, unicast and multicast, for any NatNet client."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class NatNetTransport(DatagramTransport, Outlet):
 
     Args:
         server: the emulated capture system.
-        host: local IPv4 address to serve on; multicast leaves by it too, and never leaves the host.
-        command_port, data_port: numbers; 0 takes free ones. They replace those of the server.
+        host: local IPv4 address to serve on; multicast is sent through it and never leaves the host.
+        command_port, data_port: port numbers; 0 takes free ones. They replace those of the server.
 
     Raises:
         DeviceError: the command port cannot be used. (The data port belongs to the clients.)
@@ -76,35 +76,35 @@ class NatNetTransport(DatagramTransport, Outlet):
         self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
 
     def next_due_ns(self) -> int:
-        """When the next packet leaves."""
+        """Time at which the next packet is sent."""
         return self._coming[0][0] if self._coming else NEVER_NS
 
     def on_due(self, t_ns: int) -> None:
-        """Send what is due; what the network refuses is lost."""
+        """Send the packets that are due; those that the network rejects are lost."""
         while self._coming and self._coming[0][0] <= t_ns:
             _, _, data, destination = heapq.heappop(self._coming)
             self.transmit(data, destination)
 
     def joined(self, group: str) -> bool:
-        """Whether a program of this host, where all clients are, listens to the group; False if unknown."""
+        """Whether a program of this host listens to the group (all clients are here); False if unknown."""
         number = f"{int.from_bytes(socket.inet_aton(group), sys.byteorder):08X}"
         with contextlib.suppress(OSError):
             return number in _GROUPS.read_text(encoding="ascii").split()
         return False
 
     def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
-        """Plan one packet."""
+        """Queue one packet."""
         heapq.heappush(self._coming, (ready_ns, next(self._order), data, destination))
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one request."""
+        """Pass one request to the server."""
         taken = self.receive(_LARGEST)
         if taken is not None:
             data, client = taken
             self._server.receive(data, client, self, t_ns)
 
     def endpoint(self) -> dict[str, object]:
-        """How a client reaches the server."""
+        """Addresses with which a client reaches the server."""
         return {
             "server": self.host,
             "command_port": self._server.command_port,

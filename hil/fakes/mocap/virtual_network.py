@@ -1,6 +1,6 @@
 """The network between an emulated capture server and a driver in the same process, in world time.
 
-It offers the datagram ports that the driver asks for (group or None, number or 0) without a socket.
+It has the datagram ports that the driver opens (group or None, number or 0), but uses no socket.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Arrival(NamedTuple):
 
 
 class Outlet(Protocol):
-    """A network that carries the server's packets."""
+    """A network that carries packets of the server."""
 
     @abstractmethod
     def joined(self, group: str) -> bool:
-        """Whether a client on it listens to a multicast group."""
+        """Whether a client on this network listens to a multicast group."""
 
     @abstractmethod
     def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
@@ -39,17 +39,17 @@ class Outlet(Protocol):
 
 
 class Served(Protocol):
-    """A server as its network sees it, with the number of the port that takes requests."""
+    """Interface of a server for its network; `command_port` receives requests."""
 
     command_port: int
 
     @abstractmethod
     def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
-        """Take one request that came from `client` by `outlet`."""
+        """Handle one request of `client`, received on `outlet`."""
 
 
 class WorldPort:
-    """A bound port; what was sent to it arrives when world time has come."""
+    """A bound port; datagrams sent to it can be received from their arrival time on."""
 
     def __init__(self, network: WorldNetwork, group: str | None, number: int) -> None:
         self._network = network
@@ -61,23 +61,23 @@ class WorldPort:
         self._network.send(self, data, address)
 
     def receive(self) -> Arrival | None:
-        """The oldest datagram that has arrived, or None."""
+        """Return the oldest datagram that has arrived, or None."""
         queue = self.queue
         if queue and queue[0].arrived_ns <= self._network.world.now_ns:
             return queue.popleft()
         return None
 
     def close(self) -> None:
-        """Let go of the number."""
+        """Release the port number."""
         self._network.forget(self)
 
 
 class WorldNetwork(Outlet):
-    """Ports of one client host and one server.
+    """Network between one client host and one server.
 
     Args:
-        server: that is reached.
-        world: its time.
+        server: server on the network.
+        world: source of the time.
     """
 
     def __init__(self, server: Served, world: World) -> None:
@@ -87,7 +87,7 @@ class WorldNetwork(Outlet):
         self._next = _FIRST_FREE_PORT
 
     def open(self, group: str | None, number: int) -> WorldPort:
-        """A port; raises `OSError` when the number is taken (groups can be shared)."""
+        """Open a port; raises `OSError` if its number is taken (multicast groups can be shared)."""
         if number == 0:
             number, self._next = self._next, self._next + 1
         if group is None and any(p.number == number and p.group is None for p in self._ports):
@@ -101,7 +101,7 @@ class WorldNetwork(Outlet):
         self._ports = [p for p in self._ports if p is not port]
 
     def send(self, port: WorldPort, data: bytes, address: Address) -> None:
-        """Carry a request to the server's command port; `OSError` for any other port."""
+        """Send a request to the server's command port; raises `OSError` if `port` is closed."""
         if port not in self._ports:
             raise OSError(errno.EBADF, "the port is closed")
         if address[1] == self._server.command_port:
@@ -109,11 +109,11 @@ class WorldNetwork(Outlet):
             self._server.receive(data, (_HOST, port.number), self, self.world.now_ns)
 
     def joined(self, group: str) -> bool:
-        """Whether a port listens to the group."""
+        """Whether an open port listens to the group."""
         return any(port.group == group for port in self._ports)
 
     def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
-        """Put a datagram of the server on its way; the network keeps the order."""
+        """Queue a datagram of the server at the ports that receive it; the order is kept."""
         host, number = destination
         sender = (self._server_host, self._server.command_port)
         for port in self._ports:

@@ -1,4 +1,4 @@
-"""The emulated robot body in MuJoCo: another rigid-body engine with contacts that others wrote and test."""
+"""The emulated robot body in MuJoCo, an independent rigid-body engine with its own contact model."""
 
 from hil.fakes.mujoco_plant.contact import CONTACTS, ContactSetting
 from hil.fakes.mujoco_plant.from_configuration import make_mujoco_plant

@@ -1,7 +1,7 @@
 """Makes a robot in MuJoCo from a configuration; its true parameters are drawn as for the own plant.
 
-One seed is one robot in both worlds: geometry, masses, motors, fan and propellers deviate alike. What the
-engines do not share, how wheels touch the surface, is drawn from the same stream behind everything else.
+A seed gives the same robot in both engines: deviations of geometry, masses, motors, fan and propellers are
+equal. The contact of wheels and surface, which differs between them, is drawn last from the same stream.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def make_mujoco_plant(
     step_s: float | None = None,
     by_hand: bool = False,
 ) -> MujocoRobot:
-    """The robot of a configuration on a surface.
+    """Return the robot of a configuration on a surface.
 
     Args:
         robot: nominal robot.
@@ -46,17 +46,17 @@ def make_mujoco_plant(
         contact: `creep`, `holding`, or one of your own.
         tilt_rad: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
         start_pose: (3,) in the wall frame.
-        servos: whose motors drive and steer it; XH430-W210 where it is left out.
+        servos: model of its servos; XH430-W210 by default.
         rng: source of the truth's deviations from nominal.
         randomise_truth: whether the truth deviates at all.
         geometry_share: see `hil.fakes.plant.parameters.draw`.
         faults: see `SteppedBody`.
-        mjcf: the user's own robot: masses and places of wheels are the file's.
-        step_s: internal step; that of the user's file, or 1 ms.
+        mjcf: file of the user's own robot, which gives masses and places of wheels.
+        step_s: internal step; by default that of the user's file, or 1 ms.
         by_hand: see `SteppedBody`.
 
     Raises:
-        ConfigError: MuJoCo is missing, or the file describes no such robot.
+        ConfigError: MuJoCo is missing, or the file does not describe a suitable robot.
         UsageError: unknown surface or impossible pose.
     """
     ground = find_surface(surface) if isinstance(surface, str) else surface

@@ -1,12 +1,11 @@
-"""A robot's MJCF: made from its true parameters, or read; what is wrong with it is named.
+"""The MJCF of a robot: generated from its true parameters, or read from a file and checked.
 
-What is made is a chassis, four forks that steer, four wheels. The file describes the robot alone. Surface,
-contacts, motors, fan and propellers are added to it, and to a file of the user's own, by
-`hil.fakes.mujoco_plant.model`.
+The generated robot is a chassis, four forks that steer, and four wheels. The MJCF describes the robot alone;
+`hil.fakes.mujoco_plant.model` adds surface, contacts, motors, fan and propellers, also to a user's own file.
 
-What a bench file does not say is assumed: forks and wheels weigh a hundredth of the robot each, roll and
-pitch inertia are 0.6 of yaw, and the axles stand as high as the wheels are large, so that all four touch: a
-real chassis and tyres give way until they do, a rigid body on wheels that differ by 0.2 mm rocks on two.
+Assumptions beyond the bench file: forks and wheels weigh a hundredth of the robot each, roll and pitch
+inertia are 0.6 of yaw, and each axle is as high as its wheel's radius, so that all four wheels touch. A real
+chassis and tyres deform until they do; a rigid body on wheels that differ by 0.2 mm would rock on two.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ _ELEMENT = re.compile(r"Element (?:name )?'(\w+)'")
 
 
 def describe_robot(p: TrueParameters) -> str:
-    """The MJCF; body frame x forward, y left, z away from the surface on which its origin lies.
+    """Return the MJCF; body frame x forward, y left, z away from the surface on which its origin lies.
 
     Raises:
-        ConfigError: the yaw inertia is too small for wheels where they are.
+        ConfigError: the yaw inertia is too small for the positions of the wheels.
     """
     mass, centre, inertia = _chassis(p)
     modules = "".join(_module(p, i) for i in range(4))
@@ -57,7 +56,7 @@ def describe_robot(p: TrueParameters) -> str:
 
 
 def _chassis(p: TrueParameters) -> tuple[float, Array, float]:
-    """Mass, centre and yaw inertia of what is neither fork nor wheel, so that the whole robot is as given."""
+    """Mass, centre and yaw inertia of the chassis, such that the whole robot has the given ones."""
     part = 2.0 * _PART * p.mass_kg
     places = np.column_stack([p.wheel_x_m, p.wheel_y_m, p.wheel_radius_m])
     mass, whole = p.mass_kg - 4.0 * part, np.array(p.centre_of_mass_m)
@@ -96,7 +95,7 @@ JOINTS = (*(f"drive_{w}" for w in WHEELS), *(f"steer_{w}" for w in WHEELS))
 
 
 def load_mujoco() -> Any:
-    """The engine; raises `ConfigError` with the line that installs it, or with what its import says."""
+    """Import MuJoCo; raises `ConfigError` with the command that installs it, or with the import's error."""
     why = lacks("mujoco")
     if why:
         raise ConfigError(
@@ -117,10 +116,10 @@ def load_mujoco() -> Any:
 
 
 def read_robot(mj: Any, p: TrueParameters, mjcf: Path | None) -> Any:
-    """The description as MuJoCo's `MjSpec`: that of the file, or the generated one.
+    """Return the robot as MuJoCo's `MjSpec`, read from the file or generated.
 
     Raises:
-        ConfigError: the file cannot be read, or is not one robot on four wheels.
+        ConfigError: the file cannot be read, or does not describe one robot on four wheels.
     """
     if mjcf is not None and not mjcf.is_file():
         raise ConfigError(f"emulation.mjcf = {mjcf}: no such file", expected="an MJCF file")
@@ -133,12 +132,12 @@ def read_robot(mj: Any, p: TrueParameters, mjcf: Path | None) -> Any:
 
 
 def named(mjcf: Path | None) -> str:
-    """What the robot is read from, for messages."""
+    """Name of the robot's source, for messages."""
     return "the generated robot" if mjcf is None else str(mjcf)
 
 
 def compiled(spec: Any, source: str) -> Any:
-    """The model of a description; raises `ConfigError` for one that MuJoCo cannot make."""
+    """Compile a robot; raises `ConfigError` if MuJoCo cannot."""
     try:
         return spec.compile()
     except ValueError as error:
@@ -146,7 +145,7 @@ def compiled(spec: Any, source: str) -> Any:
 
 
 def _unreadable(source: str, said: str) -> ConfigError:
-    """What MuJoCo says of a file, with the line and the element that it names."""
+    """Error with MuJoCo's message, line and element."""
     what = re.sub(r"^(XML )?(Error: )+", "", said.strip().splitlines()[0])
     parser, line, element = (pattern.search(said) for pattern in (_PARSER, _LINE, _ELEMENT))
     if parser is not None:
@@ -159,7 +158,7 @@ def _unreadable(source: str, said: str) -> ConfigError:
 
 
 def wheel_geoms(joint: Any) -> list[Any]:
-    """Geoms of a drive's body that could touch the surface."""
+    """Geoms of a drive's body that can touch the surface."""
     return [g for g in joint.parent.geoms if _collides(g) and g.type.name[7:] in _ROUND]
 
 
@@ -168,7 +167,7 @@ def _collides(geom: Any) -> bool:
 
 
 def _check(mj: Any, spec: Any, source: str) -> None:
-    """Refuse a file that is not one robot on four wheels, naming everything that is wrong with it."""
+    """Raise `ConfigError` with all problems if a file is not one robot on four wheels."""
     free = [j for j in spec.joints if j.type == mj.mjtJoint.mjJNT_FREE]
     problems = [*_joints(mj, spec, free), *_surroundings(spec, free)]
     if spec.actuators:
@@ -182,13 +181,13 @@ def _check(mj: Any, spec: Any, source: str) -> None:
 
 
 def refuse(source: str, problems: list[str]) -> None:
-    """Raise `ConfigError` when there are any."""
+    """Raise `ConfigError` if there are problems."""
     if problems:
         raise ConfigError(f"emulation.mjcf = {source}: {len(problems)} problem(s)", problems=tuple(problems))
 
 
 def _joints(mj: Any, spec: Any, free: list[Any]) -> list[str]:
-    """What is wrong with the joints, and with the wheels that hang on them."""
+    """Problems with the joints and with the wheels on them."""
     problems: list[str] = []
     known = {joint.name: joint for joint in spec.joints}
     for name in JOINTS:
@@ -213,7 +212,7 @@ def _joints(mj: Any, spec: Any, free: list[Any]) -> list[str]:
 
 
 def _surroundings(spec: Any, free: list[Any]) -> list[str]:
-    """What else could touch the robot: the bench brings its surface, and nothing stands on that."""
+    """Problems with other objects that could touch the robot: nothing but the bench's surface may."""
     problems: list[str] = []
     if len(free) == 1:
         robots = free[0].parent

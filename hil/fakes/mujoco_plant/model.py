@@ -1,7 +1,7 @@
 """The MuJoCo model of a bench: a robot's MJCF, generated or the user's, on a surface, with motors and fan.
 
-The robot's file says what it weighs and where its joints and wheels are. What `[robot]`, `[environment]` and
-the servos say is added here: surface, contacts, gear friction and rotors, fan, propellers.
+The robot's file gives its masses, joints and wheels. This module adds what `[robot]`, `[environment]` and the
+servos define: surface, contacts, gear friction and rotors, fan, propellers.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ from hil.fakes.plant.robot import GRAVITY_M_S2
 
 STEP_S = 0.001
 _FORK_ARMATURE_KG_M2 = 1e-3
-"""Of steering gears and rotors: more than a fork itself has, so that what acts on it hardly turns it."""
+"""Of steering gears and rotors: larger than a fork's own inertia, so that forces hardly turn the fork."""
 _SURFACE_M = 100.0
 _TOLERANCE = 1e-6
-"""Of the solver: two orders finer change a path by a micrometre per metre, and cost a tenth more."""
+"""Of the solver: a hundredth of it changes a path by a micrometre per metre and takes a tenth longer."""
 
 
 @dataclass(frozen=True)
 class Built:
-    """A compiled model and where things stand in it.
+    """A compiled model and the indices of its parts.
 
     Attributes:
-        model, data: of MuJoCo.
-        places: (1,) of `Places`.
+        model, data: MuJoCo's `MjModel` and `MjData`.
+        places: (1,) of `Places`, indices into MuJoCo's vectors.
         fan, thrust, turn: actuators of adhesion (N), both propellers (N) and their imbalance (N m).
-        wheel_of: number of the wheel that a geom is.
-        radius_m: (4,) of the wheels, on which they roll.
-        contact: what the contacts are set to.
-        source: what the robot was read from, for messages.
+        wheel_of: wheel index by geom index.
+        radius_m: (4,) rolling radii of the wheels.
+        contact: contact setting.
+        source: where the robot was read from, for messages.
     """
 
     model: Any
@@ -80,14 +80,14 @@ def build_model(
     """Compile the robot on its surface.
 
     Args:
-        p: what the robot truly is; of a robot from a file only motors, fan and friction are taken from here.
+        p: true parameters; for a robot from a file, only motors, fan and friction are used.
         contact: how wheels touch the surface.
-        robot: what the bench takes the robot for; not asked where it is left out.
-        mjcf: the user's own robot; generated without one.
-        step_s: internal step; that of the user's file, or 1 ms.
+        robot: nominal robot, with which the file is compared; no comparison without it.
+        mjcf: file of the user's own robot; generated without one.
+        step_s: internal step; by default that of the user's file, or 1 ms.
 
     Raises:
-        ConfigError: the engine is missing, or the file does not describe such a robot.
+        ConfigError: MuJoCo is missing, or the file does not describe a suitable robot.
     """
     mj, source = load_mujoco(), named(mjcf)
     spec = read_robot(mj, p, mjcf)
@@ -105,7 +105,7 @@ def build_model(
 
 
 def _tyres(mj: Any, spec: Any, robot: RobotConfig | None, source: str) -> list[Any]:
-    """The four geoms on which the robot rolls, of a robot that fits the bench."""
+    """Return the four rolling geoms, after checking that the robot fits the bench."""
     name_wheels(spec)
     model = compiled(spec, source)
     refuse(source, not_finite(model))
@@ -163,7 +163,7 @@ def _dress(
 
 
 def _set_motors(model: Any, p: TrueParameters) -> None:
-    """Rotors and gear friction of the drives, and the gears that forks hang on; none of it is the file's."""
+    """Set rotors and gear friction of drives and steering, which replace those of the file."""
     joints = p.joints
     for i, wheel in enumerate(WHEELS):
         drive, steer = (int(model.joint(f"{kind}_{wheel}").dofadr[0]) for kind in ("drive", "steer"))
@@ -179,13 +179,13 @@ def _set_motors(model: Any, p: TrueParameters) -> None:
 
 
 def _rolling_n_m(p: TrueParameters, i: int) -> float:
-    """Rolling resistance of a wheel that bears a quarter of the load."""
+    """Rolling resistance torque of a wheel with a quarter of the load."""
     load_n = 0.25 * (p.adhesion_n or GRAVITY_M_S2 * p.mass_kg)
     return p.contact.rolling_resistance * load_n * float(p.wheel_radius_m[i])
 
 
 def _places(model: Any, pairs: tuple[str, ...]) -> Records:
-    """Places (1,) of joints, motors and contact pairs."""
+    """Indices (1,) of joints, motors and contact pairs."""
     drives, steers = ([model.joint(f"{kind}_{w}") for w in WHEELS] for kind in ("drive", "steer"))
     places = {
         "drive_q": [j.qposadr[0] for j in drives],
@@ -200,12 +200,12 @@ def _places(model: Any, pairs: tuple[str, ...]) -> Records:
 
 
 def _geoms(model: Any, places: Records) -> list[int]:
-    """The wheels' geoms, in order."""
+    """Geom indices of the wheels, wheel order."""
     return [int(model.pair_geom2[k]) for k in places[0].pair]
 
 
 def as_built(built: Built, p: TrueParameters) -> TrueParameters:
-    """True parameters with mass, centre of mass and wheels of the compiled model."""
+    """True parameters with the masses, centre of mass and wheels of the compiled model."""
     model, data, geoms = built.model, built.data, _geoms(built.model, built.places)
     body, origin = int(model.jnt_bodyid[0]), np.array(data.qpos[:3])
     places = np.array([data.geom_xpos[g] - origin for g in geoms])

@@ -1,4 +1,4 @@
-"""What MuJoCo needs of a robot beside the numbers of `hil.fakes.plant.named_numbers`, by name; SI units."""
+"""Numbers that MuJoCo's robot needs in addition to `hil.fakes.plant.named_numbers`; SI units."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FourInts = Annotated[Ints, 4]
 
 
 class Places(Record):
-    """Where joints, motors and contact pairs of the wheels stand in MuJoCo's vectors, wheel order."""
+    """Indices of the wheels' joints, motors and contact pairs in MuJoCo's vectors, wheel order."""
 
     drive_q: FourInts
     drive_v: FourInts
@@ -23,14 +23,14 @@ class Places(Record):
 
 
 class Settled(Record):
-    """What is known once the robot stands.
+    """Numbers that are known after the robot has settled on its wheels.
 
     Attributes:
-        fork_inertia: of the forks about their axes.
-        ratio_speed: friction's regularisation (`impratio`) times the wheels' speed; 0: `ratio` at any speed.
-        ratio: the regularisation of contacts that hold.
-        slowest: speed below which the regularisation rises no further.
-        height: how high the body stands.
+        fork_inertia: inertia of the forks about their axes.
+        ratio_speed: friction's regularisation (`impratio`) times wheel speed; 0 to use `ratio` at any speed.
+        ratio: regularisation of contacts without creep.
+        slowest: speed below which the regularisation is constant.
+        height: height of the settled body.
     """
 
     fork_inertia: Four

@@ -1,7 +1,7 @@
-"""The emulated robot body in MuJoCo: how it is set down, stepped and looked at.
+"""The emulated robot body in MuJoCo: placing, stepping and reading it.
 
-The robot is set down first: it settles on its wheels without gravity along the surface, is put exactly where
-it begins, and only then hangs.
+The robot first settles on its wheels without gravity along the surface, is then moved exactly to its start
+pose, and only then gets its full weight.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class MujocoRobot(SteppedBody):
 
     Args:
         built: the compiled model.
-        parameters: what the robot truly is; places and radii of its wheels are read from the model.
-        patches: where the surface's friction differs.
+        parameters: true parameters; positions and radii of the wheels are read from the model.
+        patches: areas with other friction.
         tilt_rad, faults, by_hand: see `SteppedBody`.
-        start_pose: (3,) of the body in the wall frame, at rest.
+        start_pose: (3,) of the body in the wall frame; it starts at rest.
 
     Attributes:
-        parameters: the truth as MuJoCo has it: places of the wheels, and the radii on which they roll, which
-            are smaller than they are made by half of what they sink in.
+        parameters: true parameters of the model. The rolling radii of its wheels are smaller than the built
+            ones by half of the penetration.
 
     Raises:
         ConfigError: the robot does not come to rest on its wheels.
@@ -85,9 +85,9 @@ class MujocoRobot(SteppedBody):
         self._put(pose)
 
     def _settle(self) -> None:
-        """Stand the robot on its wheels, held against its weight along the surface, and see how it stands.
+        """Settle the robot on its wheels without gravity along the surface, and read its loads and height.
 
-        One that what presses it on cannot keep there is pressed on by hand: it will fall when it is let go.
+        If adhesion cannot hold it on the surface, it is pressed on by hand here and falls when released.
         """
         weight_n = self.parameters.mass_kg * GRAVITY_M_S2
         normal_m_s2 = -GRAVITY_M_S2 * math.cos(self.tilt_rad)
@@ -105,7 +105,7 @@ class MujocoRobot(SteppedBody):
         settled.height = data.qpos[2]
 
     def _fork_inertia_kg_m2(self) -> list[float]:
-        """Inertia of each fork about its axis, with the wheel in it and the gears behind it."""
+        """Inertia of each fork about its axis, including its wheel and gears."""
         model, data, found = self._built.model, self._built.data, []
         for steer in self._built.places[0].steer_v:
             turning, momentum = np.zeros(model.nv), np.zeros(model.nv)
@@ -115,7 +115,7 @@ class MujocoRobot(SteppedBody):
         return found
 
     def _rests(self, normal_m_s2: float, press_n: float) -> bool:
-        """Whether the robot comes to rest on four wheels from where it was described."""
+        """Return whether the robot comes to rest on four wheels from its initial configuration."""
         model, data, places = self._built.model, self._built.data, self._built.places[0]
         self._mujoco.mj_resetData(model, data)
         data.qpos[places.steer_q] = self._state.heading
@@ -129,7 +129,7 @@ class MujocoRobot(SteppedBody):
         return still and bool(np.all(self._loads_n() > 0.0))
 
     def _restless(self) -> ConfigError:
-        """Why a robot that was set down and pressed on does not stand."""
+        """Error that explains why the robot does not come to rest."""
         model, data = self._built.model, self._built.data
         where = f"emulation.mjcf = {self._built.source}: the robot does not come to rest on its wheels"
         if not mk.is_sound(data.qpos, data.qvel):
@@ -152,17 +152,17 @@ class MujocoRobot(SteppedBody):
         )
 
     def _heights_m(self) -> Array:
-        """(4,) how high the lowest point of each wheel is."""
+        """(4,) height of the lowest point of each wheel."""
         places: Array = self._built.data.geom_xpos[list(self._built.wheel_of), 2]
         return places - self._built.radius_m
 
     def _loads_n(self) -> Array:
-        """(4,) what each wheel bears."""
+        """(4,) normal load of each wheel."""
         data = self._built.data
         return self._by_wheel(data.efc_force[data.contact.efc_address])
 
     def _put(self, pose: Array) -> None:
-        """Move the settled robot to where it begins, at rest, joints at zero, and let it hang."""
+        """Move the settled robot to its start pose, at rest, with joints at zero."""
         model, data, places = self._built.model, self._built.data, self._built.places[0]
         mk.look_at_body(self._state, data.qpos, data.qvel)
         half = 0.5 * float(pose[2] - self._state.body[2])
@@ -189,17 +189,17 @@ class MujocoRobot(SteppedBody):
         mk.finish(self._robots, data.qpos, data.qvel)
 
     def _blow(self, adhesion_factor: float) -> None:
-        """Fan and propellers as they are now; a robot that has fallen has neither."""
+        """Set the present forces of fan and propellers; zero for a robot that has fallen."""
         ctrl, c, held = self._built.data.ctrl, self._constants, 1.0 - self._state.fallen
         ctrl[self._built.fan] = held * adhesion_factor * c.adhesion
         ctrl[self._built.thrust] = held * c.thrust
         ctrl[self._built.turn] = held * c.thrust_torque
 
     def _stumbled(self, done: int) -> float:
-        """The robot has just fallen, or the numbers are no robot any more.
+        """Handle a robot that has just fallen, or a diverged simulation.
 
         Raises:
-            DeviceError: the simulation has diverged: no verdict can come of it.
+            DeviceError: the simulation has diverged, so a run with it has no result.
         """
         if not mk.is_sound(self._built.data.qpos, self._built.data.qvel):
             raise DeviceError(
@@ -214,7 +214,7 @@ class MujocoRobot(SteppedBody):
         return HOLDING_IMPRATIO
 
     def _by_wheel(self, values: Array) -> Array:
-        """Values (n,) of the present contacts as (4,) of the wheels; 0 for one that touches nothing."""
+        """Sort values (n,) of the present contacts by wheel (4,); 0 for a wheel without contact."""
         out = np.zeros(4)
         for geom, value in zip(self._built.data.contact.geom[:, 1], values, strict=True):
             out[self._built.wheel_of[int(geom)]] = value

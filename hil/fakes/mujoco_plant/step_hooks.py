@@ -1,11 +1,10 @@
-"""Runs before every step of MuJoCo: servos act, friction is set by place, a fall is detected.
+"""Runs before every step of MuJoCo: servo models, friction of patches, and detection of a fall.
 
-The servos are those of the own
-plant (`hil.fakes.plant.joints`: firmware, motor, limits, play), with its constants `c`, state `s` and
-commands `q`; body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), found at the places `a`. `friction`
-(4, 5) is that of the wheels' contacts. A steering servo takes its fork along: the torque of a step is what
-brings it to where servo and play want it at the step's end. On a spring, however stiff, it would overshoot
-whenever the play is taken up. A drive servo turns its wheel by its torque.
+The servos are those of the own plant (`hil.fakes.plant.joints`: firmware, motor, limits, play), with its
+constants `c`, state `s` and commands `q`; body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), with
+indices in `a`. `friction` (4, 5) is that of the wheels' contacts. The torque of a steering fork is the one
+that moves it, by the end of the step, to the angle given by servo and play. A spring, however stiff, would
+overshoot whenever the play is taken up. A drive servo applies its torque to its wheel.
 """
 
 from __future__ import annotations
@@ -21,24 +20,24 @@ from hil.fakes.plant.step_kernel import friction_factor, look_from_origin
 from hil.support.numba_jit import inner, kernel
 
 FORK_DAMPING_N_M_S = 0.6
-"""Of the forks, which nothing else holds while the robot is set down; the servos' torque makes up for it."""
+"""Damps the forks while the robot settles; the torque of the servos compensates it afterwards."""
 SLIDING_M_S = 0.02
-"""A wheel that moves faster than this over the surface does not hold; creep at full speed is 5 mm/s."""
+"""A wheel with a higher slip speed is sliding; creep at full speed is 5 mm/s."""
 _LIFTED_M, _TIPPED_COSINE = 0.01, math.cos(math.radians(2.0))
-"""Two wheels are then 8 mm off the surface, and the fan blows into the gap."""
+"""Limits of height and tilt: two wheels are then 8 mm off the surface, and the fan blows into the gap."""
 _FAST, _FAR = 1e3, 1e4
 LOOK = -1.0
-"""Instead of a ratio: the robot has begun to fall, or the simulation has lost its footing."""
+"""Returned instead of a ratio: the robot has begun to fall, or the simulation has diverged."""
 
 
 @kernel
 def prepare(
     robots: Records, patches: Records, qpos: Array, qvel: Array, ctrl: Array, friction: Array
 ) -> float:
-    """Everything for the coming step.
+    """Prepare the next step.
 
     Args:
-        robots: (1,) of `MujocoRecord`; of its state body, joints, wheel headings, slip and the fall are used.
+        robots: (1,) of `MujocoRecord`; its body, joints, wheel headings, slip and fall state are updated.
         patches: (m,) of `PatchRecord`.
         qpos: MuJoCo's positions.
         qvel: MuJoCo's velocities.
@@ -81,7 +80,7 @@ def prepare(
 
 @kernel
 def finish(robots: Records, qpos: Array, qvel: Array) -> None:
-    """What can be seen after a step: body, wheels, and the origin's mean acceleration over it, body axes."""
+    """Read body and wheels after a step, and the origin's mean acceleration over the step, body axes."""
     robot = robots[0]
     c, s, a = robot.constants, robot.state, robot.places
     before_x, before_y = s.velocity[0], s.velocity[1]
@@ -95,7 +94,7 @@ def finish(robots: Records, qpos: Array, qvel: Array) -> None:
 
 @inner
 def look_at_body(s: State, qpos: Array, qvel: Array) -> None:
-    """Pose of the body's origin (heading without jumps) and its velocity, wall axes."""
+    """Read the pose of the body's origin (heading without jumps) and its velocity, wall axes."""
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
     heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     turned = heading - s.body[2]
@@ -111,14 +110,14 @@ def look_at_body(s: State, qpos: Array, qvel: Array) -> None:
 
 @inner
 def look_at_wheels(s: State, a: Places, qpos: Array, qvel: Array) -> None:
-    """Angles and rates of the drives."""
+    """Read angles and rates of the drives."""
     for i in range(4):
         s.angle[i], s.rate[i] = qpos[a.drive_q[i]], qvel[a.drive_v[i]]
 
 
 @inner
 def contacts(c: Constants, s: State, a: Places, patches: Records, qpos: Array, friction: Array) -> int:
-    """Slip of every wheel in its own frame, and friction where it stands; how many wheels slide."""
+    """Compute slip of every wheel in its own frame and friction at its place; count sliding wheels."""
     cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
     sliding = 0
     for i in range(4):
@@ -138,7 +137,7 @@ def contacts(c: Constants, s: State, a: Places, patches: Records, qpos: Array, f
 
 @inner
 def is_sound(qpos: Array, qvel: Array) -> bool:
-    """Whether the simulation still describes a robot: finite, not faster than sound, not kilometres away."""
+    """Return whether the state is still plausible: finite, not faster than sound, not kilometres away."""
     for value in qvel:
         if not abs(value) < _FAST:
             return False

@@ -1,8 +1,8 @@
-"""The wheels of a compiled robot: where they stand, on what they roll, and whether they are the bench's.
+"""The wheels of a compiled robot: positions, shapes, and comparison with the bench.
 
-A wheel that is a cylinder or a capsule touches a plane along a line, and scrubs when it steers: 38 mm on a
-circle of 3 m. It is given the ellipsoid of its radius and width to roll on, as the generated robot has, and
-keeps its mass and its looks.
+A cylinder or capsule touches a plane along a line and scrubs when it steers: 38 mm on a circle of 3 m. Such a
+wheel rolls on an added ellipsoid of its radius and width, as in the generated robot, and keeps its mass and
+appearance.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from hil.fakes.mujoco_plant.mjcf import JOINTS, wheel_geoms
 _AXES = {"drive": ((0.0, 1.0, 0.0), "+y, to the left"), "steer": ((0.0, 0.0, 1.0), "+z, off the surface")}
 _AGREE = math.cos(math.radians(2.5))
 _ROUND_SHARE, _PLACE_SHARE, _RADIUS_SHARE, _MASS_FACTOR = 0.01, 0.1, 0.25, 2.0
-"""How far a wheel may be from round and from its axle, of its radius; from the bench's place, of the base;
-from the bench's radius; the robot from its mass. Beyond that file and bench describe two robots."""
+"""Limits of a wheel's out-of-roundness and offset from its axle (share of its radius), of its position (share
+of the base), of its radius, and of the robot's mass. Beyond them, file and bench describe two robots."""
 
 
 @dataclass(frozen=True)
 class Wheel:
-    """One wheel.
+    """Shape of one wheel.
 
     Attributes:
         shape: `sphere`, `ellipsoid`, `cylinder` or `capsule`.
-        radius_m: on which it rolls.
-        out_of_round: largest over smallest radius about the axle, less one.
-        half_width_m: along the axle.
-        off_axle_m: between its centre and the axle.
+        radius_m: rolling radius.
+        out_of_round: largest over smallest radius about the axle, minus one.
+        half_width_m: half its width along the axle.
+        off_axle_m: distance between its centre and the axle.
         agreement: cosine between its own axis and the axle.
     """
 
@@ -47,7 +47,7 @@ class Wheel:
 
 
 def look_at_wheel(mj: Any, model: Any, wheel: str, geom: int) -> Wheel:
-    """The wheel that turns with joint `drive_<wheel>`."""
+    """Return the shape of the wheel on joint `drive_<wheel>`."""
     joint, turn = model.joint(f"drive_{wheel}"), np.zeros(9)
     mj.mju_quat2Mat(turn, model.geom_quat[geom])
     axle = turn.reshape(3, 3).T @ joint.axis
@@ -72,12 +72,12 @@ def look_at_wheel(mj: Any, model: Any, wheel: str, geom: int) -> Wheel:
 
 
 def put_on_ellipsoids(mj: Any, spec: Any, model: Any) -> list[Any]:
-    """The four geoms to roll on, in order; cylinders and capsules get an ellipsoid without mass beside them.
+    """Return the four rolling geoms, in order; cylinders and capsules get a massless ellipsoid to roll on.
 
     Args:
-        mj: the engine.
-        spec: the robot; changed.
-        model: `spec` as compiled before, whose wheels have names.
+        mj: the MuJoCo module.
+        spec: the robot; updated.
+        model: `spec` compiled with named wheels.
     """
     out = []
     for wheel in WHEELS:
@@ -98,14 +98,14 @@ def put_on_ellipsoids(mj: Any, spec: Any, model: Any) -> list[Any]:
 
 
 def name_wheels(spec: Any) -> None:
-    """Give wheels without a name one, by which they are found in a compiled model."""
+    """Name unnamed wheels, so that they can be found in the compiled model."""
     for wheel in WHEELS:
         geom = wheel_geoms(spec.joint(f"drive_{wheel}"))[0]
         geom.name = geom.name or f"bench_{wheel}_wheel"
 
 
 def at_zero(mj: Any, model: Any) -> Any:
-    """Data of a model whose joints are all at zero."""
+    """Return the data of a model with all joints at zero."""
     data = mj.MjData(model)
     mj.mj_setConst(model, data)
     mj.mj_resetData(model, data)
@@ -116,7 +116,7 @@ def at_zero(mj: Any, model: Any) -> Any:
 
 
 def not_finite(model: Any) -> list[str]:
-    """Parts of a compiled robot that have numbers which are none."""
+    """Describe the parts of a compiled robot that have non-finite numbers."""
     parts = {
         "body": ("body_mass", "body_inertia", "body_pos", "body_quat", "body_ipos", "body_iquat"),
         "joint": ("jnt_pos", "jnt_axis"),
@@ -132,7 +132,7 @@ def not_finite(model: Any) -> list[str]:
 
 
 def unlike(mj: Any, model: Any, geoms: list[int], robot: RobotConfig) -> list[str]:
-    """What of a compiled robot turns wrongly, does not roll, or is not the bench's robot."""
+    """Describe everything in which a compiled robot does not fit the bench: joint axes, wheels, mass."""
     data, body = at_zero(mj, model), int(model.jnt_bodyid[0])
     if abs(float(data.qpos[3])) < math.cos(0.5 * math.radians(0.1)):
         name = model.body(body).name or "of the robot"
@@ -156,7 +156,7 @@ def unlike(mj: Any, model: Any, geoms: list[int], robot: RobotConfig) -> list[st
 
 
 def _unround(name: str, wheel: Wheel, expected_m: float) -> list[str]:
-    """Why a wheel does not roll as the bench expects."""
+    """Describe why a wheel does not roll as the bench expects."""
     what = f"wheel {name} ({wheel.shape})"
     if wheel.agreement < _AGREE:
         off_deg = math.degrees(math.acos(wheel.agreement))
@@ -176,7 +176,7 @@ def _unround(name: str, wheel: Wheel, expected_m: float) -> list[str]:
 
 
 def _displaced(places_m: Array, expected_m: Array) -> list[str]:
-    """Wheels that do not stand where the bench has them."""
+    """Describe the wheels that are not where the bench expects them."""
     problems, most_m = [], _PLACE_SHARE * float(np.ptp(expected_m, axis=0).max())
     for i, wheel in enumerate(WHEELS):
         away_m = np.linalg.norm(expected_m - places_m[i], axis=1)

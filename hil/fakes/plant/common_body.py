@@ -1,7 +1,7 @@
-"""Base of all emulated bodies: takes commands and forces, steps on a fixed grid, gives its state.
+"""Base of all emulated bodies: takes commands and forces, integrates in fixed steps, gives its state.
 
-A command acts from the next internal step. `advance` integrates whole steps only, so that results do
-not depend on how a stretch of time is split.
+A command takes effect at the next internal step. `advance` integrates whole steps only, so that results do
+not depend on how a period is split.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ _MODES = {
 
 
 class SteppedBody(Plant):
-    """A robot in the records of `hil.fakes.plant.named_numbers`; a derived class integrates.
+    """A robot in the records of `hil.fakes.plant.named_numbers`; a derived class integrates it.
 
     Args:
-        parameters: what the robot truly is.
-        robots: (1,) of `Robot`, or of a record with its fields and more; constants and state are set.
-        tilt_rad: 0 floor, pi/2 wall, more than that overhanging.
-        faults: answers to device `plant`, kind `adhesion_loss` with `factor` (0) of the adhesion left,
-            reached along a line within `over_s` (0).
+        parameters: true parameters of the robot.
+        robots: (1,) of `Robot`, or of a record that extends it; constants and state are filled in.
+        tilt_rad: 0 floor, pi/2 wall, more for overhanging surfaces.
+        faults: supports `adhesion_loss` of device `plant`, with `factor` (0) of the adhesion left, reached
+            linearly within `over_s` (0).
         step_ns: internal step.
-        by_hand: the robot is held by hand until the first motor has torque; nothing moves before.
+        by_hand: the robot is held by hand, without any motion, until the first motor has torque.
     """
 
     def __init__(
@@ -72,10 +72,10 @@ class SteppedBody(Plant):
 
     @abstractmethod
     def _integrate(self, n: int, adhesion_factor: float) -> None:
-        """Go `n` internal steps on."""
+        """Integrate `n` internal steps."""
 
     def body(self) -> BodyMotion:
-        """How the body's origin moves."""
+        """Motion of the body's origin."""
         x, y, theta, v_x, v_y, omega, a_x, a_y = self._motion.tolist()
         return BodyMotion(x, y, theta, v_x, v_y, omega, a_x, a_y, self.tilt_rad)
 
@@ -84,7 +84,7 @@ class SteppedBody(Plant):
         return self._headings.tolist()  # type: ignore[no-any-return]
 
     def adhesion_n(self) -> float:
-        """The fan's force as it acts now."""
+        """Present force of the fan, N."""
         force_n = float(self._constants.adhesion)
         return force_n if self._faults.empty else force_n * self._adhesion_factor(self._steps)
 
@@ -94,7 +94,7 @@ class SteppedBody(Plant):
         return self._steps * self._step_ns
 
     def command(self, joint: int, command: JointCommand) -> None:
-        """Ask a joint's motor for something, from the next internal step on.
+        """Set the set-point of a joint's motor from the next internal step on.
 
         Raises:
             UsageError: no such joint, or a goal or limit that is not a number.
@@ -120,30 +120,30 @@ class SteppedBody(Plant):
 
     @property
     def working_point(self) -> HoldingForces:
-        """What fan and propellers of this robot truly give at their nominal forces."""
+        """True forces of fan and propellers at their nominal set-points."""
         return self.parameters.working_point
 
     def set_adhesion(self, force_n: float) -> None:
-        """The fan's force from the next internal step on.
+        """Set the fan's force from the next internal step on.
 
         Raises:
-            UsageError: not a finite force towards the surface.
+            UsageError: not a finite force >= 0.
         """
         self._constants.adhesion = _force(force_n, "the fan presses")
         self._truth = None
 
     def set_thrust(self, force_n: float) -> None:
-        """The propellers' force along body x from the next internal step on.
+        """Set the propellers' force along body x from the next internal step on.
 
         Raises:
-            UsageError: not a finite force forwards.
+            UsageError: not a finite force >= 0.
         """
         self._constants.thrust = _force(force_n, "the propellers push")
         self._constants.thrust_torque = force_n * self.parameters.thrust_lever_m
         self._truth = None
 
     def advance(self, t_ns: int) -> None:
-        """Integrate up to `t_ns`: whole internal steps; the remainder waits."""
+        """Integrate up to `t_ns` in whole internal steps; a remainder is left for the next call."""
         if t_ns < self._ahead_ns:
             return
         end = t_ns // self._step_ns
@@ -159,7 +159,7 @@ class SteppedBody(Plant):
         self._ahead_ns = (end + 1) * self._step_ns
 
     def _stretch(self, end: int) -> tuple[int, float]:
-        """Number of coming steps with one and the same adhesion factor, and that factor."""
+        """Number of next steps with a constant adhesion factor, and that factor."""
         factor = self._adhesion_factor(self._steps)
         after = self._steps + 1
         while after < end and self._adhesion_factor(after) == factor:
@@ -177,7 +177,7 @@ class SteppedBody(Plant):
         return self._views
 
     def truth(self) -> PlantState:
-        """A frozen copy of everything, at `t_ns`; made once per internal step."""
+        """Return a frozen copy of the state at `t_ns`; cached per internal step."""
         if self._truth is None or self._truth.t_ns != self.t_ns:
             self._truth = self._look()
         return self._truth
@@ -204,13 +204,13 @@ class SteppedBody(Plant):
         )
 
     def _seen(self) -> Records:
-        """A copy (1,) of the state, with what else can be seen of the robot."""
+        """Copy (1,) of the state, with all observable values filled in."""
         states: Records = self._robots["state"].copy()
         return states
 
 
 def checked_pose(pose: ArrayLike) -> Array:
-    """A start pose (3,); raises `UsageError` for anything else."""
+    """Return a start pose (3,) as an array; raises `UsageError` for anything else."""
     found = np.asarray(pose, dtype=np.float64)
     if found.shape != (3,) or not np.all(np.isfinite(found)):
         raise UsageError(

@@ -1,6 +1,6 @@
-"""The joints of an emulated robot: motors, their gears and the firmware's loops, without what wheels do.
+"""Joints of an emulated robot: motors, gears and the servos' control loops, without wheel contacts.
 
-On named records, as `hil.fakes.plant.step_kernel`, which steps them with body and wheels.
+They work on named records; `hil.fakes.plant.step_kernel` steps them with body and wheels.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hil.support.numba_jit import inner
 
 @inner
 def clip(value: float, limit: float) -> float:
-    """Value within +-limit."""
+    """Limit a value to +-limit."""
     return min(max(value, -limit), limit)
 
 
@@ -29,11 +29,11 @@ def clip(value: float, limit: float) -> float:
 def motor(
     j: int, dt: float, pull: float, drag: float, friction: float, c: Constants, s: State, q: Commands
 ) -> tuple[float, float, float, float]:
-    """Rate of joint `j` after an implicit step `dt` under an outer torque `pull - drag * rate`.
+    """Rate of joint `j` after an implicit step `dt` with an external torque `pull - drag * rate`.
 
     Returns:
         (rate, branch, free, compliance): rate = free + compliance * pull while the branch holds; a
-        branch is a direction (0: stuck, compliance 0) and which limit acts.
+        branch encodes the direction (0: stuck, compliance 0) and the active limit.
     """
     kt, ke, ohm = c.kt[j], c.ke[j], c.ohm[j]
     mode, limit_a, limit_v = q.mode[j], q.amps_limit[j], c.supply * q.duty_limit[j]
@@ -67,13 +67,13 @@ def motor(
 
 @inner
 def threshold(value: float, friction: float) -> float:
-    """What dry friction leaves of a torque."""
+    """Torque that remains after dry friction."""
     return math.copysign(max(abs(value) - friction, 0.0), value)
 
 
 @inner
 def demand(j: int, dt: float, c: Constants, s: State, q: Commands) -> tuple[float, float]:
-    """Voltage asked for by the firmware: (level, fall) of level - fall * rate after an implicit step."""
+    """Voltage of the control loop as (level, fall): level - fall * rate after an implicit step."""
     mode = q.mode[j]
     if mode == MODE_VELOCITY:
         gain = c.velocity_p + c.velocity_i * dt
@@ -85,7 +85,7 @@ def demand(j: int, dt: float, c: Constants, s: State, q: Commands) -> tuple[floa
 
 @inner
 def finish_joint(j: int, dt: float, rate: float, c: Constants, s: State, q: Commands) -> None:
-    """Store a joint's new rate, angle, current and integrator (which rests while a limit acts)."""
+    """Store a joint's new rate, angle, current and integrator (held while a limit is active)."""
     mode, limit_a, limit_v = q.mode[j], q.amps_limit[j], c.supply * q.duty_limit[j]
     amps = 0.0
     if mode == MODE_CURRENT:
@@ -107,7 +107,7 @@ def finish_joint(j: int, dt: float, rate: float, c: Constants, s: State, q: Comm
 
 @inner
 def follow_references(c: Constants, s: State, q: Commands) -> None:
-    """Move the reference of every position loop towards its goal, as fast as its limit allows."""
+    """Move the reference of every position loop towards its goal, within its rate limit."""
     for j in range(8):
         if q.mode[j] == MODE_POSITION:
             s.reference[j] += clip(q.goal[j] - s.reference[j], q.rate_limit[j] * c.dt)
@@ -117,10 +117,10 @@ def follow_references(c: Constants, s: State, q: Commands) -> None:
 
 @inner
 def steer_joint(i: int, c: Constants, s: State, q: Commands) -> float:
-    """Turn one steering joint and, through its play, its wheel; returns the wheel's heading before.
+    """Step one steering joint and, through its play, its wheel; returns the wheel's previous heading.
 
-    No contact force reaches these joints, so they go by the implicit midpoint rule: where an overshoot
-    leaves a wheel within its play must not depend on the step.
+    These joints have no contact forces, so they use the implicit midpoint rule: the position within the play
+    after an overshoot must not depend on the step.
     """
     j = i + 4
     start, dt = s.rate[j], 0.5 * c.dt if q.mode[j] == MODE_POSITION else c.dt

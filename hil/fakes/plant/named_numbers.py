@@ -1,7 +1,7 @@
-"""The numbers of an emulated robot by name, as the physics reads and writes them; SI units throughout.
+"""Named numbers of an emulated robot, as the physics reads and writes them; SI units throughout.
 
-One robot is a block (1,) of `ROBOT`, its surface an array (m,) of `PATCH`, m >= 0. Joints are the drives
-FL BL BR FR, then the steers; wheels FL BL BR FR.
+A robot is a block (1,) of `ROBOT`, its surface an array (m,) of `PATCH`, m >= 0. Joint order: drives FL BL BR
+FR, then steers; wheel order: FL BL BR FR.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ MODE_OFF, MODE_VELOCITY, MODE_POSITION, MODE_PWM, MODE_CURRENT = range(5)
 
 
 class PatchRecord(Record):
-    """A rectangle of the surface, wall frame, and the friction in it as a share of the surface's."""
+    """A rectangle of the surface, wall frame, and its friction relative to that of the surface."""
 
     x_min: float
     y_min: float
@@ -26,17 +26,17 @@ class PatchRecord(Record):
 
 
 class Constants(Record):
-    """What the robot and its surface are, and what fan and propellers do; changed between steps only.
+    """Constants of robot and surface, and forces of fan and propellers; changed between steps only.
 
     Attributes:
         dt: internal step.
         com_x, com_y, com_height: centre of mass in body axes from the origin, and over the surface.
-        gravity: along the surface.
-        press, press_y, press_x: the weight's force onto the surface, and its moments about the body's axes.
-        adhesion, thrust, thrust_torque, thrust_height: of the fan and the propellers.
-        creep_along, creep_across, softening, stiffness, damping, rolling: the law of contact of a wheel.
-        supply, velocity_p, velocity_i, position_p: voltage, and gains of the servos' loops.
-        fall_slide: how far it slides with no wheel holding until it has fallen.
+        gravity: acceleration along the surface.
+        press, press_y, press_x: normal force of the weight, and its moments about the body's axes.
+        adhesion, thrust, thrust_torque, thrust_height: of fan and propellers.
+        creep_along, creep_across, softening, stiffness, damping, rolling: contact law of a wheel.
+        supply, velocity_p, velocity_i, position_p: voltage, and gains of the servos' control loops.
+        fall_slide: sliding distance with no wheel holding after which the robot has fallen.
         offset, play: of the steering.
         load_map: (4, 3) normal loads by total force, M_y and M_x, row by row.
         kt, ke, ohm, joint_inertia, coulomb, viscous: of the joints' motors and gears.
@@ -83,7 +83,7 @@ class Constants(Record):
 
 
 class Motion(Record):
-    """How the body's origin moves: pose in the wall frame; twist and acceleration in body axes."""
+    """Motion of the body's origin: pose in the wall frame; twist and acceleration in body axes."""
 
     pose: Annotated[Array, 3]
     twist: Annotated[Array, 3]
@@ -91,21 +91,21 @@ class Motion(Record):
 
 
 class State(Record):
-    """Where the robot is.
+    """State of the robot.
 
     Attributes:
         body, velocity: x, y of the centre of mass and heading, and their rates, wall axes.
-        origin: what can be seen of that.
-        fallen: 1 once it has fallen, else 0.
-        slid: how far it has slid with no wheel holding.
-        angle, rate, amps: of the joints.
-        integral, reference: of the joints' velocity and position loops.
+        origin: motion of the body's origin.
+        fallen: 1 after a fall, else 0.
+        slid: sliding distance with no wheel holding.
+        angle, rate, amps: angle, rate and current of the joints.
+        integral, reference: states of the joints' velocity and position loops.
         bristle: deflection of the contacts, wall axes, x and y of each wheel in turn.
         slip: of the wheels in their own frames, along and across of each in turn.
-        heading: of the wheels in the body frame.
-        use: share of its grip that each contact needs.
+        heading: of the wheels, in the body frame.
+        use: used share of each contact's grip.
         load: normal loads.
-        next_share: what the friction cone leaves of each contact's force, 1 where it holds.
+        next_share: factor by which the friction cone scales each contact's force; 1 while it holds.
         share, cosine, sine, arm_x, arm_y, grip, along, along_slope, across, across_slope, branch, free,
             compliance, spin: scratch of one step, by wheel.
     """
@@ -143,7 +143,7 @@ class State(Record):
 
 
 class Commands(Record):
-    """What the joints' motors are asked for: mode, goal in its unit, limits; duty 0..1."""
+    """Set-points of the joints' motors: mode, goal in its unit, limits; duty 0..1."""
 
     mode: Eight
     goal: Eight

@@ -1,6 +1,6 @@
-"""True parameters of the emulated robot: off the nominal ones by a seeded draw.
+"""True parameters of the emulated robot: nominal ones with seeded random deviations.
 
-Nothing but the plant (and tests that ask how well something was recovered) may look at them.
+Only the plant may read them, and tests that check how well they were identified.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from hil.robot.kinematics import WheelGeometry
 _STEERING_SIGMA_RAD = math.radians(1.0)
 _VELOCITY_P_V_S_RAD, _VELOCITY_I_V_RAD, _POSITION_P_V_RAD = 0.41, 60.0, 100.0
 _TUNED_AT_V = 12.0
-"""Recommended voltage of the servos whose recorded stops the gains were tuned to."""
+"""Recommended voltage of the servos with whose recorded stops the gains were tuned."""
 
 
 @dataclass(frozen=True)
 class ContactParameters:
-    """Tyre on surface; creep force is stiffness per load times creepage.
+    """Contact of a tyre with a surface; the creep force is stiffness per load times creepage.
 
     Attributes:
         friction: coefficient of the cone |F| <= friction N.
-        creep_along, creep_across: per normal load.
+        creep_along, creep_across: creep stiffness per normal load.
         softening: share of creep stiffness lost as the cone is approached (eta).
-        stiffness_n_m, damping_n_s_m: of the bristles, alike in both directions.
+        stiffness_n_m, damping_n_s_m: of the bristles, equal in both directions.
         rolling_resistance: torque at the axle per load and radius.
     """
 
@@ -51,7 +51,7 @@ class JointParameters:
     Attributes:
         torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: (8,) of the servo model (ROBOTIS e-Manual).
         inertia_kg_m2: (8,) rotor and gear.
-        coulomb_n_m, viscous_n_m_s: (8,) gear friction; together they give the data sheet's no-load rows.
+        coulomb_n_m, viscous_n_m_s: (8,) gear friction; they reproduce the no-load rows of the data sheet.
         velocity_p_v_s_rad, velocity_i_v_rad: velocity loop, tuned to the recorded stops.
         position_p_v_rad: position loop, volts per angle.
         play_rad: (4,) half the backlash between steering servo and wheel.
@@ -71,17 +71,17 @@ class JointParameters:
 
 @dataclass(frozen=True)
 class TrueParameters:
-    """The hidden truth of one emulated robot on one surface.
+    """True parameters of one emulated robot on one surface.
 
     Attributes:
         wheel_x_m, wheel_y_m, wheel_radius_m: (4,).
         steering_offset_rad: (4,) wheel heading minus servo angle (without play).
         mass_kg, centre_of_mass_m, yaw_inertia_kg_m2: as `RobotConfig`.
-        adhesion_n: towards the surface, 0 where the fan is off.
-        thrust_n: both propellers, along body x.
-        thrust_torque_n_m: their imbalance, about the body's origin.
-        thrust_lever_m: the same per thrust.
-        working_point: what fan and propellers give at their nominal forces on a wall, needed or not.
+        adhesion_n: force towards the surface, 0 while the fan is off.
+        thrust_n: force of both propellers along body x.
+        thrust_torque_n_m: torque of their imbalance about the body's origin.
+        thrust_lever_m: that torque per thrust.
+        working_point: true forces of fan and propellers at their nominal set-points on a wall.
         propeller_height_m, supply_v: as `RobotConfig`.
     """
 
@@ -103,14 +103,14 @@ class TrueParameters:
     joints: JointParameters
 
     def geometry(self) -> WheelGeometry:
-        """Wheel geometry that a perfect calibration would find (servo angle minus zero = heading)."""
+        """Wheel geometry that a perfect calibration would identify (servo angle minus zero = heading)."""
         return WheelGeometry(self.wheel_x_m, self.wheel_y_m, self.wheel_radius_m, -self.steering_offset_rad)
 
 
 def nominal_joints(servos: ServoModel) -> JointParameters:
-    """Eight servos of one model; gear friction is an assumption, alike for all models.
+    """Joints with eight servos of one model; gear friction is an assumption, equal for all models.
 
-    The firmware's gains are of duty cycle: in volts they go with the supply that the model is made for.
+    The firmware's gains are in duty cycle; in volts they scale with the model's supply voltage.
     """
     motor, volts = servos.motor, servos.recommended_v / _TUNED_AT_V
     return JointParameters(
@@ -130,7 +130,7 @@ def nominal_joints(servos: ServoModel) -> JointParameters:
 def nominal_parameters(
     robot: RobotConfig, surface: Surface, tilt_rad: float, gravity_m_s2: float, servos: ServoModel
 ) -> TrueParameters:
-    """Truth that equals the configuration."""
+    """True parameters that equal the configuration."""
     thrust_n = robot.thrust_compensation * robot.mass_kg * gravity_m_s2 * math.sin(tilt_rad)
     on = 1.0 if surface.adhesive else 0.0
     return TrueParameters(
@@ -162,14 +162,14 @@ def _spread(rng: np.random.Generator, share: float) -> float:
 def draw(
     nominal: TrueParameters, propeller_y_m: float, rng: np.random.Generator, geometry_share: float = 1.0
 ) -> TrueParameters:
-    """One robot of the series: every figure off its nominal value, by amounts a workshop would produce.
+    """Draw the true parameters of one robot: nominal values with deviations typical of a workshop.
 
     Args:
-        nominal: truth that equals the configuration.
-        propeller_y_m: lever of the propellers' imbalance.
-        rng: source of the deviations.
-        geometry_share: share of the deviations of wheel positions, radii and steering zeros that is left;
-            the same seed draws the same robot, nearer to its nominal geometry.
+        nominal: true parameters that equal the configuration.
+        propeller_y_m: lever arm of the propellers' imbalance.
+        rng: random numbers.
+        geometry_share: factor on the deviations of wheel positions, radii and steering zeros; with a smaller
+            one, the same seed gives the same robot nearer to its nominal geometry.
     """
     x, y, height = nominal.centre_of_mass_m
     thrust_spread = _spread(rng, 0.01)

@@ -1,8 +1,8 @@
-"""A robot that repeats a recorded motion, whatever it is commanded: what a real robot did, at the wire.
+"""A robot that repeats a recorded motion of a real robot and ignores all commands.
 
-Joint angles are the recorded ones, interpolated. Body pose is the recorded ground truth, smoothed over a
-quarter of a second; its derivatives are what the emulated IMU and camera feel. Nothing is known about
-slip, loads and currents: they are zero, an even share of the weight, and zero.
+Joint angles are the recorded ones, interpolated. The body pose is the recorded ground truth, smoothed over
+a quarter of a second; emulated IMU and camera measure its derivatives. Slip, loads and currents are unknown:
+they are zero, equal shares of the weight, and zero.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _JOINTS, _RATES, _POSE, _TWIST, _ACCELERATION = (
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """What a robot did.
+    """Recorded motion of a robot.
 
     Attributes:
-        name: for messages.
-        t_s: (n,) increasing; `pose_t_s` (m,) shares its axis.
+        name: name for messages.
+        t_s: (n,) increasing; `pose_t_s` (m,) has the same zero.
         joint_rad: (n, 8) servo angles, order `hil.core.signals.SERVOS`.
         pose: (m, 3) body in wall: m, m, rad unwrapped.
     """
@@ -48,11 +48,11 @@ class RecordedMotion:
 
 
 class RecordedRobot(Plant):
-    """Stands at the first pose, repeats the motion, and stands at the last.
+    """Rests at the first pose, repeats the motion, and rests at the last pose.
 
     Args:
-        motion: to repeat.
-        tilt_rad: of the surface.
+        motion: the recorded motion.
+        tilt_rad: tilt of the surface.
         after_s: world time at which the motion begins.
 
     Raises:
@@ -67,20 +67,20 @@ class RecordedRobot(Plant):
 
     @property
     def t_ns(self) -> int:
-        """Time up to which the motion has been followed."""
+        """Time up to which the motion has been replayed."""
         return self._t_ns
 
     def command(self, joint: int, command: JointCommand) -> None:
-        """The recorded robot is not listening."""
+        """Ignore the command: the motion is recorded."""
 
     def advance(self, t_ns: int) -> None:
-        """Go on to `t_ns`."""
+        """Replay up to `t_ns`."""
         if t_ns > self._t_ns:
             self._t_ns = t_ns
             self._row = self._at(t_ns)
 
     def _at(self, t_ns: int) -> Array:
-        """Row of the table at a world time, between its neighbours."""
+        """Interpolate the table at a world time."""
         place = (t_ns - nanoseconds(self._after_s)) / NS_PER_S / _GRID_S
         last = len(self._table) - 1
         if place <= 0.0:
@@ -92,11 +92,11 @@ class RecordedRobot(Plant):
         return np.asarray(low + (place - before) * (high - low), dtype=np.float64)
 
     def joints(self) -> tuple[Array, Array, Array]:
-        """Recorded angles (8,), rad, and rates (8,), rad/s; currents (8,), A, are not known and zero."""
+        """Return recorded angles (8,), rad, and rates (8,), rad/s; currents (8,), A, are unknown and zero."""
         return self._row[_JOINTS], self._row[_RATES], np.zeros(8)
 
     def truth(self) -> PlantState:
-        """What was recorded, at the present time."""
+        """Return the recorded state at the present time."""
         row = self._row
         return PlantState(
             t_ns=self._t_ns,
@@ -121,7 +121,7 @@ def _at_rest(row: Array) -> Array:
 
 
 def _tabulate(motion: RecordedMotion) -> Array:
-    """The motion on an even grid, (k, 24): joints, rates, pose, twist, acceleration."""
+    """Resample the motion on an even grid, (k, 24): joints, rates, pose, twist, acceleration."""
     from scipy.signal import savgol_filter
 
     start_s = float(motion.t_s[0])

@@ -1,4 +1,4 @@
-"""The emulated robot body in physics of our own, and how one is made from a configuration."""
+"""The emulated robot body with the project's own physics, and how to make one from a configuration."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ STEP_NS = 1_000_000
 
 
 class WallRobot(SteppedBody):
-    """Four steered and driven wheels on an inclined plane, in physics of our own.
+    """Four steered and driven wheels on an inclined plane, with the project's own physics.
 
     Args:
-        parameters: what the robot truly is.
-        patches: where the surface's friction differs.
+        parameters: true parameters of the robot.
+        patches: areas with other friction.
         tilt_rad, faults, step_ns, by_hand: see `SteppedBody`.
-        start_pose: (3,) of the body in the wall frame, at rest.
+        start_pose: (3,) of the body in the wall frame; it starts at rest.
     """
 
     def __init__(
@@ -58,11 +58,11 @@ class WallRobot(SteppedBody):
         advance(self._robots, self._patches, n, adhesion_factor)
 
     def bristle_deflection_m(self) -> Array:
-        """Elastic deflection of the contacts (4, 2), wall axes: where contact energy is stored."""
+        """Elastic deflection of the contacts (4, 2), wall axes, m; it stores the contact energy."""
         return np.array(self._state.bristle).reshape(4, 2)
 
     def _start(self, pose: Array) -> None:
-        """At rest at a pose, joints at zero, bristles relaxed."""
+        """Start at rest at a pose, with joints at zero and bristles relaxed."""
         cosine, sine = math.cos(pose[2]), math.sin(pose[2])
         x, y, _ = self.parameters.centre_of_mass_m
         s = self._state
@@ -72,7 +72,7 @@ class WallRobot(SteppedBody):
 
 
 def make_constants(p: TrueParameters, tilt_rad: float, dt_s: float) -> Records:
-    """True parameters as (1,) of `Constants`, with gravity and loads."""
+    """Return true parameters as (1,) of `Constants`, with gravity and loads."""
     x, y, height = p.centre_of_mass_m
     press_n = p.mass_kg * GRAVITY_M_S2 * math.cos(tilt_rad)
     contact, joints = p.contact, p.joints
@@ -123,7 +123,7 @@ def make_constants(p: TrueParameters, tilt_rad: float, dt_s: float) -> Records:
 
 
 def make_patches(patches: tuple[Patch, ...]) -> Records:
-    """Patches of a surface as (m,) of `PatchRecord`."""
+    """Return the patches of a surface as (m,) of `PatchRecord`."""
     return np.array(list(map(astuple, patches)), PATCH)
 
 
@@ -135,15 +135,15 @@ def true_parameters(
     rng: np.random.Generator,
     geometry_share: float | None,
 ) -> TrueParameters:
-    """What the robot of a configuration truly is, in any physics: one seed is one robot.
+    """Return the true parameters of a configured robot, equal for all physics engines with the same seed.
 
     Args:
         robot: nominal robot.
         ground: the surface.
         tilt_rad: of the surface.
-        servos: whose motors drive and steer it; XH430-W210 when None.
+        servos: model of its servos; XH430-W210 when None.
         rng: source of the truth's deviations from nominal.
-        geometry_share: see `hil.fakes.plant.parameters.draw`; None for a truth that is the nominal robot.
+        geometry_share: see `hil.fakes.plant.parameters.draw`; None for nominal parameters.
     """
     model = servo_model(DEFAULT_MODEL) if servos is None else servos
     nominal = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2, model)
@@ -164,14 +164,14 @@ def make_plant(
     step_ns: int = STEP_NS,
     by_hand: bool = False,
 ) -> WallRobot:
-    """The robot of a configuration on a surface.
+    """Return the robot of a configuration on a surface.
 
     Args:
         robot: nominal robot.
         surface: preset (`floor`, `concrete`, `melamine`, `patchy`) or one of your own.
         tilt_rad: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
         start_pose: (3,) in the wall frame.
-        servos: whose motors drive and steer it; XH430-W210 where it is left out.
+        servos: model of its servos; XH430-W210 by default.
         rng: source of the truth's deviations from nominal.
         randomise_truth: whether the truth deviates at all.
         geometry_share: see `hil.fakes.plant.parameters.draw`.

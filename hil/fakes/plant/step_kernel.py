@@ -1,4 +1,4 @@
-"""The physics of the robot on a surface: `n` internal steps on preallocated numbers, nothing else.
+"""Physics of the robot on a surface: `n` internal steps on preallocated arrays.
 
 `docs/wall.md` describes the model.
 
@@ -28,7 +28,7 @@ PASSES = 4
 
 @inner
 def steer(c: Constants, s: State, q: Commands) -> None:
-    """Turn the steering joints and, through their play, the wheels; contact directions at mid-step."""
+    """Step the steering joints and, through their play, the wheels; contact directions at mid-step."""
     middle = s.body[2] + 0.5 * c.dt * s.velocity[2]
     for i in range(4):
         before = steer_joint(i, c, s, q)
@@ -42,9 +42,9 @@ def steer(c: Constants, s: State, q: Commands) -> None:
 
 @inner
 def loads(adhesion_factor: float, c: Constants, s: State) -> None:
-    """Normal loads from statics; a wheel does not pull. The robot falls when it tips or is let go.
+    """Compute normal loads from statics; a wheel cannot pull. The robot falls when it tips or is released.
 
-    It tips when what presses it on acts outside of the wheels.
+    It tips when the resulting normal force acts outside of the wheels' polygon.
     """
     cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
     weight = c.mass * c.gravity
@@ -68,7 +68,7 @@ def loads(adhesion_factor: float, c: Constants, s: State) -> None:
 
 @inner
 def friction_factor(patches: Records, x: float, y: float) -> float:
-    """Friction at a place of the surface, as a share of the surface's own."""
+    """Friction at a point of the surface relative to that of the surface."""
     for k in range(len(patches)):
         patch = patches[k]
         if patch.x_min <= x < patch.x_max and patch.y_min <= y < patch.y_max:
@@ -100,7 +100,7 @@ def contacts(patches: Records, c: Constants, s: State) -> None:
 
 @inner
 def judge(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands) -> bool:
-    """Wheel rates, motor branches and cone shares that go with a body velocity; whether any changed."""
+    """Compute wheel rates, motor branches and cone factors for a body velocity; whether any changed."""
     changed = False
     for i in range(4):
         r, share = c.radius[i], s.share[i]
@@ -123,7 +123,7 @@ def judge(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands
 
 @inner
 def solve(c: Constants, s: State) -> tuple[float, float, float]:
-    """Velocity of the centre of mass (wall axes) and turn rate after the step, wheels eliminated."""
+    """Solve for velocity of the centre of mass (wall axes) and turn rate, with the wheels eliminated."""
     middle = s.body[2] + 0.5 * c.dt * s.velocity[2]
     held = 1.0 - s.fallen
     thrust = held * c.thrust
@@ -157,7 +157,7 @@ def solve(c: Constants, s: State) -> tuple[float, float, float]:
 
 @inner
 def move(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands) -> None:
-    """Accept a solved step: bristles, wheels, body; a robot that slides away has fallen."""
+    """Apply a solved step to bristles, wheels and body; detect a fall by sliding."""
     holding = 0
     for i in range(4):
         share, load = s.share[i], s.load[i]
@@ -188,7 +188,7 @@ def origin_velocity(c: Constants, s: State) -> tuple[float, float]:
 
 @inner
 def look_from_origin(s: State, x: float, y: float) -> None:
-    """Pose of the body's origin, and its twist in body axes, in which `s` follows the point (x, y)."""
+    """Set the pose of the body's origin and its twist in body axes; (x, y) is the tracked point of `s`."""
     cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
     vx, vy, turn = s.velocity[0], s.velocity[1], s.velocity[2]
     pose, twist = s.origin.pose, s.origin.twist
@@ -207,7 +207,7 @@ def advance(robots: Records, patches: Records, n: int, adhesion_factor: float) -
         robots: (1,) of `Robot`; its state changes.
         patches: (m,) of `PatchRecord`.
         n: steps, may be 0.
-        adhesion_factor: share of the fan's force that acts.
+        adhesion_factor: factor on the fan's force.
     """
     robot = robots[0]
     c, s, q = robot.constants, robot.state, robot.commands

@@ -9,7 +9,7 @@ from hil.core.errors import UsageError
 
 @dataclass(frozen=True)
 class Patch:
-    """A rectangle of the surface with other friction; the first one that covers a point counts.
+    """A rectangle of the surface with other friction; at a point, the first matching patch counts.
 
     Attributes:
         x_min_m, y_min_m, x_max_m, y_max_m: corners in the wall frame.
@@ -29,13 +29,13 @@ class Patch:
 
 @dataclass(frozen=True)
 class Surface:
-    """A surface; figures are assumptions that may be tuned.
+    """A surface; all numbers are assumptions that may be tuned.
 
     Attributes:
         friction: coefficient of the friction cone.
         adhesive: whether ducted fan and propellers run on it; the floor needs neither.
-        creep_along, creep_across: creep stiffness per normal load, by direction of the wheel.
-        patches: where friction differs.
+        creep_along, creep_across: creep stiffness per normal load, along and across the wheel.
+        patches: areas with other friction.
     """
 
     friction: float
@@ -60,7 +60,7 @@ SURFACES = {
 
 
 def find_surface(name: str) -> Surface:
-    """The preset of that name; raises `UsageError` that lists them."""
+    """Return the preset of this name; raises `UsageError` that lists all presets."""
     if name not in SURFACES:
         raise UsageError(f"surface {name!r} is unknown", expected="one of " + ", ".join(SURFACES))
     return SURFACES[name]
