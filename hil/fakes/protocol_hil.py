@@ -1,8 +1,8 @@
 """pyserial scheme `hil://NAME`: a port on an emulated serial line, on the virtual clock.
 
 pyserial finds the scheme by this module's name in a package listed in
-`serial.protocol_handler_packages`. Waiting moves the world; a look at an empty port costs a little
-world time, so that a client that polls cannot stand still in it.
+`serial.protocol_handler_packages`. Waiting advances world time. A query of an empty port takes a little world
+time, so that a client that polls it makes progress.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from hil.fakes.serial_line import SerialLine, Unplugged, find_line, line_names
 from hil.fakes.world import NEVER_NS
 
 _LOOK_NS = 50_000
-"""World time that a client's look at an empty port takes."""
+"""World time that a query of an empty port takes."""
 
 
 class Serial(SerialBase):
-    """A pyserial port whose far end is an emulated chip."""
+    """A pyserial port connected to an emulated chip."""
 
     _line: SerialLine | None = None
     _timeout: float | None
@@ -30,7 +30,7 @@ class Serial(SerialBase):
     _break_state = _rts_state = _dtr_state = False
 
     def open(self) -> None:
-        """Take the line; raises `SerialException` when there is none or it is taken."""
+        """Open the line; raises `SerialException` if it does not exist or is in use."""
         name = urlsplit(str(self.portstr)).netloc
         try:
             line = find_line(name)
@@ -47,7 +47,7 @@ class Serial(SerialBase):
         self._reconfigure_port()
 
     def close(self) -> None:
-        """Give the line back. Idempotent."""
+        """Release the line. Idempotent."""
         if self._line is not None:
             self._line.in_use = False
             self._line.listen(None)
@@ -55,7 +55,7 @@ class Serial(SerialBase):
         self.is_open = False
 
     def _reconfigure_port(self, *args: Any, **kwargs: Any) -> None:
-        """Take over what has been set."""
+        """Apply changed settings of the port."""
         self._wait_ns = NEVER_NS if self._timeout is None else max(nanoseconds(self._timeout), _LOOK_NS)
 
     def _opened(self) -> SerialLine:
@@ -70,7 +70,7 @@ class Serial(SerialBase):
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that a read would return at once; looking at an empty port takes world time."""
+        """Number of bytes that a read would return at once; a query of an empty port takes world time."""
         line = self._opened()
         count = line.waiting()
         if not count:
@@ -79,7 +79,7 @@ class Serial(SerialBase):
         return count
 
     def read(self, size: int = 1, /) -> bytes:
-        """Wait for `size` bytes, at most `timeout`; raises `SerialException` when unplugged."""
+        """Wait for `size` bytes, at most `timeout`; raises `SerialException` if the adapter is unplugged."""
         line = self._line
         if line is None or not line.faults.empty:
             line = self._opened()
@@ -103,29 +103,29 @@ class Serial(SerialBase):
         return out
 
     def write(self, data: Any, /) -> int:
-        """Hand bytes to the adapter; returns at once."""
+        """Pass bytes to the adapter; returns at once."""
         payload = data if isinstance(data, bytes) else bytes(data)
         if payload:
             self._opened().send(payload, self._baudrate)
         return len(payload)
 
     def flush(self) -> None:
-        """Wait until everything has left."""
+        """Wait until all bytes have been sent."""
         line = self._opened()
         line.world.advance_to(line.sent_ns())
 
     def cancel_read(self) -> None:
-        """Nothing to do: no call blocks, the world moves instead."""
+        """Do nothing: no call blocks, because waiting advances the world."""
 
     def cancel_write(self) -> None:
-        """Nothing to do: what was handed over is on the wire."""
+        """Do nothing: all written bytes are already on the wire."""
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
+        """Discard the received bytes."""
         self._opened().discard()
 
     def reset_output_buffer(self) -> None:
-        """Nothing to do: what was handed over is on the wire."""
+        """Do nothing: all written bytes are already on the wire."""
 
     def _update_break_state(self) -> None:
         return None

@@ -1,7 +1,7 @@
-"""The interface of a chip with a byte stream, as the serial line uses it.
+"""Interface between chips with a byte stream and the serial line.
 
-A chip is a model (registers, firmware, timing); the serial line (`serial_line.py`) adds pacing, USB
-latency and wire faults; a transport (in-process pyserial URL or PTY) carries the bytes to a client.
+A chip models registers, firmware and timing. The serial line (`serial_line.py`) adds pacing, USB latency and
+wire faults. A transport (in-process pyserial URL or PTY) carries the bytes to a client.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hil.fakes.world import NEVER_NS
 
 
 class Reply(NamedTuple):
-    """Bytes a chip puts on the wire: not before `ready_ns` (world time), then paced at the baud rate."""
+    """Bytes sent by a chip: not before `ready_ns` (world time), then paced at the baud rate."""
 
     ready_ns: int
     data: bytes
@@ -24,11 +24,11 @@ class SerialChip(Protocol):
     """A chip (or a bus of chips) at the far end of a serial line.
 
     Attributes:
-        name: device name, also of its faults.
-        supported_faults: faults that arise in the chip itself; the line declares them with its own.
-        uart_baud: the rate that its UART is set to: the line makes noise of what is sent or heard at another
-            one. None where it has none, as a device on USB, or where the chip itself judges the rate.
-        polls_alone: `next_poll_ns` becomes earlier only while it receives or is polled.
+        name: device name, also that of its faults.
+        supported_faults: faults inside the chip; the line declares them together with its own.
+        uart_baud: baud rate of its UART: bytes sent or received at another rate become noise. None for a
+            device without UART, as on USB, or if the chip itself checks the rate.
+        polls_alone: `next_poll_ns` becomes earlier only in calls of `receive` and `poll`.
     """
 
     name: str
@@ -38,11 +38,10 @@ class SerialChip(Protocol):
 
     @abstractmethod
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Take bytes whose last one arrived at `t_ns`, sent at `baud`; return what is answered.
+        """Receive bytes, sent at `baud`, the last of which arrived at `t_ns`; returns the replies.
 
-        Bytes may come in any pieces. Where the rates of chip and line differ, by `uart_baud` or a fault,
-        `data` is what the chip's UART makes of them.
-        `World.sync_plant` has been called for `t_ns`.
+        Bytes may come in any pieces. If the baud rates of chip and line differ, by `uart_baud` or a fault,
+        `data` is what the chip's UART decodes. `World.sync_plant` has been called for `t_ns`.
         """
 
     @abstractmethod
@@ -50,13 +49,13 @@ class SerialChip(Protocol):
         """Power was cycled (brownout, unplug and replug)."""
 
     def begin_in_use(self) -> None:
-        """Run before the bench opens; nothing by default."""
+        """Put the device into the state of a bench already in use; nothing by default."""
         return
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """What the chip says unasked at `t_ns`; nothing by default."""
+        """Return the data sent without request at `t_ns`; none by default."""
         return []
 
     def next_poll_ns(self) -> int:
-        """When `poll` may have something to say; never by default."""
+        """Time of the next call of `poll`; never by default."""
         return NEVER_NS

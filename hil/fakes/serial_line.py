@@ -1,11 +1,10 @@
 """The emulated serial line between a client's port and a chip: pacing, USB latency, wire faults.
 
-Bytes leave the client's adapter at the baud rate, reach the chip, and its answer comes back paced by
-the same rate. The adapter hands received bytes to the host in packets: a full one at once, the rest
-when its latency timer expires (16 ms as delivered, 1 ms as it should be set).
-Where both ends run at different rates each hears noise, whatever the chip thinks of that:
-`hil.fakes.imu.bno055_uart`. Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect
-clients to a line.
+Bytes leave the client's adapter at the baud rate and reach the chip; its reply is paced by the same rate. The
+adapter passes received bytes to the host in packets: a full one at once, the rest when its latency timer
+expires (16 ms as delivered, 1 ms as it should be set). If both ends have different baud rates, each receives
+noise, also when the chip itself checks the rate: `hil.fakes.imu.bno055_uart`. Everything happens in world
+time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 TOLERANCE = 0.03
-"""Share by which two rates may differ and still be understood: well within half a bit of ten."""
+"""Largest relative difference of two usable baud rates: well within half a bit of ten."""
 _BITS = 8
 _MIDDLE = 0.5
 
 
 def same_rate(one: float, other: float) -> bool:
-    """Whether a receiver at one rate understands a sender at the other."""
+    """Return whether a receiver at one baud rate can decode a sender at the other."""
     return abs(one - other) <= TOLERANCE * max(one, other)
 
 
 def heard(data: bytes, sent_baud: float, own_baud: float) -> bytes:
-    """The bytes that a receiver reads.
+    """Return the bytes that a UART receiver decodes.
 
-    It begins with each falling edge and looks at the line in the middle of each of its own bits: one that
-    starts, eight of data, the lowest first, one that stops. A byte without its stop bit is kept, as it came.
+    It starts at each falling edge and samples the line in the middle of each of its own bits: a start bit,
+    eight data bits, lowest first, a stop bit. A byte without stop bit is kept as received.
 
     Args:
-        data: sent one after the other, without pauses; the line rests (1) before and after.
-        sent_baud: bits per second of the sender.
-        own_baud: of the receiver.
+        data: bytes sent without pauses; the line is idle (1) before and after.
+        sent_baud: baud rate of the sender.
+        own_baud: baud rate of the receiver.
     """
     levels = [level for byte in data for level in (0, *(byte >> k & 1 for k in range(_BITS)), 1)]
     step = sent_baud / own_baud
@@ -73,7 +72,7 @@ LINE_FAULTS: Supported = {
 }
 
 _BITS_NS = 10 * NS_PER_S
-"""Of one byte on the wire, at 1 baud."""
+"""Duration of one byte on the wire at 1 baud."""
 _BAUD_UNSAID = 115_200
 _USB_PACKET = 62
 _WRONG_BAUD_FACTOR = 0.5
@@ -82,20 +81,20 @@ _LINES: dict[str, SerialLine] = {}
 
 
 class Unplugged(Exception):
-    """The adapter is gone; a transport turns this into what its client expects."""
+    """The adapter is unplugged; a transport converts this to the error that its client expects."""
 
 
 class SerialLine(Scheduled):
-    """One chip on one adapter. Registers itself as a part of the world.
+    """One chip on one USB adapter. Registers itself as a part of the world.
 
     Faults (`drop corrupt truncate duplicate`, each per transfer with option `probability=`,
-    `baud_mismatch`, `unplug`) go by the chip's name.
+    `baud_mismatch`, `unplug`) use the chip's name.
 
     Args:
         world: time, seed and faults.
-        chip: what is at the far end.
+        chip: the chip at the far end.
         name: name for `hil://NAME`; the chip's name by default.
-        latency_s: the adapter's latency timer; 0 hands every byte over as it arrives.
+        latency_s: latency timer of the adapter; 0 passes every byte on at once.
     """
 
     def __init__(self, world: World, chip: SerialChip, *, name: str = "", latency_s: float = 0.001) -> None:
@@ -115,7 +114,7 @@ class SerialLine(Scheduled):
         world.add(self)
 
     def open(self) -> SerialLine:
-        """Make the line reachable as `hil://NAME`; raises `UsageError` if the name is taken."""
+        """Register the line as `hil://NAME`; raises `UsageError` if the name is taken."""
         if _LINES.setdefault(self.name, self) is not self:
             raise UsageError(
                 f"serial line {self.name!r} exists already", remedy="close it or use another name"
@@ -125,12 +124,12 @@ class SerialLine(Scheduled):
         return self
 
     def close(self) -> None:
-        """Forget the line. Idempotent."""
+        """Remove the line from the registry. Idempotent."""
         if _LINES.get(self.name) is self:
             del _LINES[self.name]
 
     def send(self, data: bytes, baud: int) -> None:
-        """Bytes from the client, now; raises `Unplugged`."""
+        """Send bytes of the client now; raises `Unplugged`."""
         now_ns, faultless = self.world.now_ns, self.faults.empty
         if not faultless:
             self.check_plugged()
@@ -143,14 +142,14 @@ class SerialLine(Scheduled):
         self.world.changed(self)
 
     def listen(self, baud: Callable[[], int] | None) -> None:
-        """The client's adapter is set to the rate that this gives, also while it sends nothing; None: gone.
+        """Set the function that returns the client's present baud rate; None for no client.
 
-        Only a chip that says its own rate asks for it.
+        It is called only for chips with a `uart_baud`, also while the client sends nothing.
         """
         self._listens_at = baud
 
     def take(self, limit: int) -> bytes:
-        """Up to `limit` bytes that have reached the host."""
+        """Take up to `limit` bytes that have reached the host."""
         arrived, now_ns, out = self._in, self.world.now_ns, b""
         while arrived and arrived[0][0] <= now_ns and len(out) < limit:
             host_ns, data = arrived.popleft()
@@ -161,26 +160,26 @@ class SerialLine(Scheduled):
         return out
 
     def waiting(self) -> int:
-        """How many bytes have reached the host."""
+        """Number of bytes that have reached the host."""
         return sum(len(data) for host_ns, data in self._in if host_ns <= self.world.now_ns)
 
     def discard(self) -> None:
-        """Throw away what has reached the host."""
+        """Discard the bytes that have reached the host."""
         while self._in and self._in[0][0] <= self.world.now_ns:
             self._in.popleft()
 
     def sent_ns(self) -> int:
-        """When the last byte handed over will have left."""
+        """Time at which the last written byte is sent."""
         return self._out_free_ns
 
     def next_arrival_ns(self) -> int:
-        """When the next bytes reach the host, as far as is known now."""
+        """Time at which the next bytes reach the host, as far as known."""
         return self._in[0][0] if self._in else NEVER_NS
 
     def next_event_ns(self, wanted: int) -> int:
-        """When `wanted` bytes will have reached the host, or else when the chip next hears or speaks.
+        """Time at which `wanted` bytes have reached the host, or else the next action of the chip.
 
-        Bytes come one after the other, so that those in between need not be waited for one by one.
+        Bytes arrive in sequence, so the caller need not wait for each of them.
         """
         ready_ns = self.world.now_ns
         for host_ns, data in self._in:
@@ -192,14 +191,14 @@ class SerialLine(Scheduled):
         return self.next_due_ns()
 
     def next_due_ns(self) -> int:
-        """When bytes next reach the chip or the chip next speaks unasked; never once it has failed."""
+        """Time of the next bytes at the chip or of its next poll; never once the chip has failed."""
         if self.broken:
             return NEVER_NS
         poll_ns, out = self.chip.next_poll_ns() if self._polls else NEVER_NS, self._out
         return out[0][0] if out and out[0][0] < poll_ns else poll_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Let the chip hear what has arrived, and take its answers."""
+        """Pass arrived bytes to the chip, and queue its replies."""
         while self._out and self._out[0][0] <= t_ns:
             _, data, baud = self._out.popleft()
             rate = self._chip_baud(baud, t_ns)
@@ -211,7 +210,7 @@ class SerialLine(Scheduled):
             self._answer(self.chip.poll(t_ns), self._client_baud(), t_ns)
 
     def check_plugged(self) -> None:
-        """Raise `Unplugged` while the adapter is pulled out."""
+        """Raise `Unplugged` while the adapter is unplugged."""
         if not self.faults.empty and self.faults.find(self.chip.name, "unplug", self.world.now_ns):
             raise Unplugged(f"the adapter of {self.name} is gone")
 
@@ -221,7 +220,7 @@ class SerialLine(Scheduled):
         return self._listens_at()
 
     def _chip_baud(self, baud: int, t_ns: int) -> int:
-        """The rate of the far end, for a client at `baud`."""
+        """Baud rate of the chip, for a client at `baud`."""
         if not self.faults.empty and self.faults.find(self.chip.name, "baud_mismatch", t_ns) is not None:
             return round(baud * _WRONG_BAUD_FACTOR)
         return baud if self.chip.uart_baud is None else self.chip.uart_baud
@@ -235,7 +234,7 @@ class SerialLine(Scheduled):
                 self._deliver(piece, ready_ns if ready_ns > free_ns else free_ns, rate)
 
     def _deliver(self, data: bytes, start_ns: int, baud: int) -> None:
-        """Put a paced answer into the host's buffer, in the adapter's packets."""
+        """Queue a paced reply for the host, in packets of the adapter."""
         packet = _USB_PACKET if self._latency_ns else 1
         for first in range(0, len(data), packet):
             piece = data[first : first + packet]
@@ -245,7 +244,7 @@ class SerialLine(Scheduled):
         self._in_free_ns = start_ns
 
     def _spoil(self, data: bytes, t_ns: int) -> tuple[bytes, ...]:
-        """The transfers that one becomes under the active wire faults."""
+        """Apply the wire faults: the transfers received for one sent."""
         faults = self.faults
 
         def hit(kind: str) -> bool:
@@ -266,7 +265,7 @@ class SerialLine(Scheduled):
 
 
 def find_line(name: str) -> SerialLine:
-    """The open line of that name; raises `KeyError`."""
+    """Return the open line with this name; raises `KeyError`."""
     return _LINES[name]
 
 

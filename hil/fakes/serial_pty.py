@@ -1,7 +1,7 @@
 """A serial line on a pseudo-terminal: any client opens it as it would open a USB adapter.
 
-The kernel shows the rate that the client has set, so a wrong baud rate is heard as noise. A PTY has
-no modem lines and cannot be pulled out: during `unplug` it is silent.
+The kernel gives the baud rate that the client has set, so that a wrong rate results in noise. A PTY has no
+modem lines and cannot be unplugged: during `unplug` it is silent.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _CHUNK = 4096
 
 
 class SerialPty(Transport):
-    """The client side of a line as a terminal device.
+    """Client side of a line as a terminal device.
 
     Args:
-        line: the emulated line; also a part of the world of its own.
-        nominal: values for clients beside the port (`baud`, `ids`, ...).
+        line: the emulated line; it is also a separate part of the world.
+        nominal: values for clients in addition to the port (`baud`, `ids`, ...).
     """
 
     def __init__(self, line: SerialLine, nominal: dict[str, object] | None = None) -> None:
@@ -38,11 +38,11 @@ class SerialPty(Transport):
         line.listen(self._baud)
 
     def next_due_ns(self) -> int:
-        """When the next bytes reach the host."""
+        """Time at which the next bytes reach the host."""
         return self._line.next_arrival_ns()
 
     def on_due(self, t_ns: int) -> None:
-        """Hand arrived bytes to the terminal; those far too late, or never read, are lost and counted."""
+        """Write received bytes to the terminal; count those that are far too late or not read in `lost`."""
         data = self._line.take(_CHUNK)
         if not self._open:
             return
@@ -53,11 +53,11 @@ class SerialPty(Transport):
         self.lost += len(data) - written
 
     def filenos(self) -> list[int]:
-        """The emulator's end of the terminal."""
+        """File descriptor of the emulator's end of the terminal."""
         return [self._master] if self._open else []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take the client's bytes at the rate that it has set."""
+        """Pass the client's bytes on at the baud rate that it has set."""
         try:
             data = os.read(fd, _CHUNK)
         except OSError:
@@ -66,7 +66,7 @@ class SerialPty(Transport):
             self._line.send(data, self._baud())
 
     def endpoint(self) -> dict[str, object]:
-        """Device path, and what the client should know."""
+        """Device path, and further values for the client."""
         return {"port": os.ttyname(self._slave) if self._open else "", **self._nominal}
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class SerialPty(Transport):
             os.close(self._slave)
 
     def _baud(self) -> int:
-        """The rate set on the client's side; arbitrary rates need termios2 (Linux)."""
+        """Baud rate set on the client's side; arbitrary rates need termios2 (Linux)."""
         words = array.array("I", [0] * _TERMIOS2_WORDS)
         fcntl.ioctl(self._slave, _TCGETS2, words, True)
         return words[_OSPEED_WORD] or 1

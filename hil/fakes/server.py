@@ -1,12 +1,12 @@
-"""Serves the emulated devices in real time to any client: the engine of `hil emulate`.
+"""Serves the emulated devices in real time to any client; used by `hil emulate`.
 
-The world follows the monotonic clock; a client's bytes are handed to the transport they arrive at as
-soon as the kernel reports them. One thread, no sleeping beyond the next planned action.
+The world follows the monotonic clock; a client's bytes are passed to their transport as soon as the kernel
+reports them. One thread; it never sleeps beyond the next planned action.
 
-A process that got no processor time catches up in short pieces, and takes what has arrived meanwhile
-between them. In one piece a controller would wait in vain for commands that have long been there, and let the
-robot go. What a chip that is far behind answers is lost meanwhile: its client would take the past for the
-present, and see a robot that leaps as soon as the world has caught up.
+After a lack of processor time, the process catches up in short pieces and handles received data between them.
+In one piece, a controller would time out although its commands had long arrived, and release the robot.
+Replies of a chip that is far behind are dropped: the client would take old values for present ones, and see
+a jump of the robot as soon as the world has caught up.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from hil.fakes.world import Scheduled, World
 _LONGEST_WAIT_S = 0.05
 _PIECE_NS = 20_000_000
 _BEHIND_NS = 50_000_000
-"""A client that waits for an answer has given up by then."""
+"""A client has stopped waiting for a reply by then."""
 _TOO_SHORT_TO_SLEEP_S = 80e-6
 _WARM_UP_NS = 3_000_000
 
 
 class Transport(Scheduled, Protocol):
-    """An emulated device's connection to the outside: PTY, socket or CAN interface.
+    """Connection of an emulated device to the outside: PTY, socket or CAN interface.
 
     Attributes:
         behind: set by the server while the world is far behind its clock.
@@ -43,11 +43,11 @@ class Transport(Scheduled, Protocol):
 
     @abstractmethod
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take what has arrived; the world has been advanced to `t_ns`."""
+        """Handle received data; the world has been advanced to `t_ns`."""
 
     @abstractmethod
     def endpoint(self) -> Mapping[str, object]:
-        """How a client reaches it, for the JSON line of `hil emulate`."""
+        """Addresses with which a client reaches the device, for the JSON line of `hil emulate`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -55,15 +55,15 @@ class Transport(Scheduled, Protocol):
 
 
 class EmulationServer:
-    """Runs a world and its transports until a stop is asked for.
+    """Runs a world and its transports until it is stopped.
 
     Args:
-        world: the emulated devices.
-        clock: what the world follows.
-        transports: connections to the outside by name.
-        lifeline: file descriptor of a pipe; the server ends when its other end is closed.
-        await_start: world time stands still until a byte comes down the lifeline: a robot without torque
-            slides down the wall while its bench loads.
+        world: world with the emulated devices.
+        clock: clock that the world follows.
+        transports: connections to the outside, by name.
+        lifeline: file descriptor of a pipe; the server ends when the other end is closed.
+        await_start: world time stands still until a byte arrives on the lifeline, because a robot without
+            torque would slide down the wall while its bench loads.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class EmulationServer:
             world.add(transport)
 
     def _warm_up(self) -> None:
-        """Let the first milliseconds pass before clients connect: compiling may take seconds."""
+        """Advance the first milliseconds before clients connect: compiling may take seconds."""
         self.world.advance_to(self.world.now_ns + _WARM_UP_NS)
         self.world.sync_plant()
 
@@ -101,7 +101,7 @@ class EmulationServer:
         """Serve until `stop`; always closes the transports.
 
         Args:
-            ready: called once, when time runs and every device is being served.
+            ready: called once, as soon as time advances and every device is served.
         """
         try:
             while self._running:
@@ -116,7 +116,7 @@ class EmulationServer:
         """Advance the world to now and serve what is readable, waiting at most 50 ms for it.
 
         Raises:
-            HilError: code of another package has failed.
+            HilError: code of another package has raised an error.
         """
         for error in self.world.failures.values():
             raise error
@@ -151,7 +151,7 @@ class EmulationServer:
         return self.clock.now_ns() - self._start_ns
 
     def _advance(self) -> bool:
-        """Go to now, or as far on the way there as the world may go before it listens again.
+        """Advance to now, or by the largest piece before data must be handled again.
 
         Returns:
             Whether the world has reached now.

@@ -1,4 +1,4 @@
-"""Chips that send unasked: their rhythm, their supply, and the faults that all of them have."""
+"""Base classes of chips that send without requests: period, power supply and common faults."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ COMMON_FAULTS: Supported = {
     "delayed": ("delay_s",),
     "intermittent": PERIODIC,
 }
-"""Faults that every such chip has without a line of its own; serial line and CAN bus add theirs."""
+"""Faults that the base classes implement for every such chip; serial line and CAN bus add theirs."""
 
 
 class StreamingChip:
-    """Base of `SerialStreamingChip` and `CanStreamingNode`: give `measure`, `encode`.
+    """Base of `SerialStreamingChip` and `CanStreamingNode`; a subclass defines `measure` and `encode`.
 
     Args:
         request: world, table of the bench file, `[emulation.KIND]`.
 
     Attributes:
-        Options: frozen dataclass of what is true of it, `[emulation.KIND]`.
-        own_faults: faults beside the common ones, and the options that each takes; `fault` finds one.
+        Options: frozen dataclass of the true imperfections, `[emulation.KIND]`.
+        own_faults: faults beside the common ones, and the options that each takes; query them with `fault`.
         boot_s: silence after its supply comes back.
-        delay_s: from measurement to the wire.
+        delay_s: time from measurement to sending.
         world: plant, clock, faults and random streams.
         config: its table of the bench file.
         options: an instance of `Options`.
-        rng: its random numbers.
-        faults: those that are planned for it.
-        rate_hz: measurements per second; 0 for none unasked.
+        rng: random numbers of the chip.
+        faults: faults planned for the chip.
+        rate_hz: measurements per second; 0 for none without requests.
     """
 
     Options: ClassVar[Any]
@@ -64,23 +64,23 @@ class StreamingChip:
 
     @abstractmethod
     def measure(self, t_ns: int) -> Any:
-        """One measurement, as the chip believes it."""
+        """Make one measurement with all errors of the chip."""
 
     def restart(self, t_ns: int) -> None:
-        """Power has come back: settings as after power-up."""
+        """Reset the settings after a return of power."""
         return
 
     def fault(self, kind: str, t_ns: int) -> Fault | None:
-        """The fault of this kind that acts on it now."""
+        """Return the active fault of this kind, or None."""
         return self.faults.find(kind, t_ns)
 
     def fault_option(self, kind: str, option: str, default: float) -> float:
-        """Option of a fault of this kind, or `default` where it has none; 0 where no such fault acts."""
+        """Option of an active fault of this kind, or `default` if not given; 0 without such a fault."""
         fault = self.fault(kind, self.world.now_ns)
         return 0.0 if fault is None else fault.option(option, default)
 
     def wake(self) -> None:
-        """Send again after `rate_hz` was 0."""
+        """Start sending after `rate_hz` was 0."""
         self._due_ns = self.world.now_ns + self._period_ns()
 
     def reset(self, t_ns: int) -> None:
@@ -92,7 +92,7 @@ class StreamingChip:
         return round(NS_PER_S / self.rate_hz) if self.rate_hz else 0
 
     def _next(self, t_ns: int) -> Any:
-        """The present measurement, with faults; None where it sends nothing."""
+        """Return the present measurement with its faults, or None if nothing is sent."""
         off = any(self.fault(kind, t_ns) is not None for kind in ("off", "brownout"))
         was_off, self._was_off = self._was_off, off
         if (was_off and not off) or self.faults.news("reset", t_ns) is not None:
@@ -118,9 +118,9 @@ class StreamingChip:
 
 
 class SerialStreamingChip(StreamingChip, SerialChip):
-    """A chip at the far end of a serial line; give `measure`, `encode`, and `answer` where it can be asked.
+    """A chip at the far end of a serial line; define `measure`, `encode`, and `answer` if it has requests.
 
-    At another baud rate than its own both ends hear noise.
+    If client and chip have different baud rates, both receive noise.
     """
 
     def __init__(self, request: EmulationRequest) -> None:
@@ -130,31 +130,31 @@ class SerialStreamingChip(StreamingChip, SerialChip):
 
     @classmethod
     def build(cls, request: EmulationRequest) -> SerialStreamingChip:
-        """The chip of a table of the bench file."""
+        """Make the chip from its table of the bench file."""
         return cls(request)
 
     @abstractmethod
     def encode(self, measured: Any) -> bytes:
-        """A measurement as bytes."""
+        """Encode a measurement as bytes."""
 
     def answer(self, data: bytes, t_ns: int) -> bytes:
-        """Answer to bytes that were heard, in any pieces; none by default."""
+        """Reply to received bytes, in any pieces; none by default."""
         return b""
 
     def next_poll_ns(self) -> int:
-        """When the next measurement is due."""
+        """Time of the next measurement."""
         return self._due_ns if self.rate_hz else NEVER_NS
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """One measurement, if it has power."""
+        """Send one measurement, if powered."""
         measured = self._next(t_ns)
         return [] if measured is None else self._reply(measured, t_ns)
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Answer; while starting and without power there is silence.
+        """Pass received bytes to `answer`; no reply while booting or without power.
 
         Raises:
-            TypeError: `answer` gave no bytes.
+            TypeError: `answer` has not returned bytes.
         """
         answer = b"" if self._is_down(t_ns) else self.answer(data, t_ns)
         if not isinstance(answer, bytes):
@@ -169,7 +169,7 @@ class SerialStreamingChip(StreamingChip, SerialChip):
 
 
 class CanStreamingNode(StreamingChip, Scheduled):
-    """A node on a CAN bus that sends the frames of its table's `FRAME_IDS`; give `measure` and `encode`."""
+    """A node on a CAN bus that sends the frames of its table's `FRAME_IDS`; define `measure` and `encode`."""
 
     announces = True
 
@@ -181,19 +181,19 @@ class CanStreamingNode(StreamingChip, Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> CanStreamingNode:
-        """The node of a table of the bench file."""
+        """Make the node from its table of the bench file."""
         return cls(request, channel)
 
     @abstractmethod
     def encode(self, measured: Any) -> Mapping[int, bytes]:
-        """The frames of a measurement, by identifier."""
+        """Encode a measurement as frames, by identifier."""
 
     def next_due_ns(self) -> int:
-        """When the next measurement is due."""
+        """Time of the next measurement."""
         return self._due_ns if self.rate_hz else NEVER_NS
 
     def on_due(self, t_ns: int) -> None:
-        """One measurement, if it has power."""
+        """Send one measurement, if powered."""
         measured = self._next(t_ns)
         if measured is None:
             return

@@ -1,4 +1,4 @@
-"""A transport on one UDP socket, which answers and passes on, and plans nothing of its own."""
+"""A transport on one UDP socket; it forwards data at once and has no planned actions."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from hil.fakes.world import NEVER_NS
 
 
 class DatagramTransport(Transport):
-    """An open UDP socket that never blocks; what its datagrams mean is up to the device.
+    """A non-blocking UDP socket; the device defines the contents of the datagrams.
 
     Args:
-        host, port: where to listen; port 0 takes a free one.
+        host, port: address to listen on; port 0 takes a free one.
 
     Attributes:
-        host, port: where it listens.
+        host, port: address of the socket.
 
     Raises:
         OSError: the port cannot be used.
@@ -36,14 +36,14 @@ class DatagramTransport(Transport):
         self._socket.bind((host, port))
 
     def next_due_ns(self) -> int:
-        """Nothing is planned here: what the device says is passed on as it comes."""
+        """Never: data of the device are sent at once."""
         return NEVER_NS
 
     def on_due(self, t_ns: int) -> None:
-        """Nothing is ever due."""
+        """Do nothing: no action is ever due."""
 
     def filenos(self) -> list[int]:
-        """The socket, while open."""
+        """File descriptor of the socket, while open."""
         number = self._socket.fileno()
         return [] if number < 0 else [number]
 
@@ -52,10 +52,10 @@ class DatagramTransport(Transport):
         self._socket.close()
 
     def receive(self, largest: int) -> tuple[bytes, tuple[str, int]] | None:
-        """One datagram and its sender; None when there is none, or the socket is closed.
+        """Receive one datagram and its sender; None without one, or if the socket is closed.
 
         Args:
-            largest: bytes of it that are taken.
+            largest: number of bytes of it that are read.
         """
         try:
             data, (host, port) = self._socket.recvfrom(largest)
@@ -64,6 +64,6 @@ class DatagramTransport(Transport):
         return data, (host, port)
 
     def transmit(self, data: bytes, client: tuple[str, int]) -> None:
-        """Send a datagram; what the network refuses, or a closed socket, is lost."""
+        """Send a datagram; it is lost if the network rejects it or the socket is closed."""
         with contextlib.suppress(OSError):
             self._socket.sendto(data, client)

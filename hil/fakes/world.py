@@ -1,15 +1,15 @@
-"""The emulated world: one plant, one time axis, one seed, and the devices that live in it.
+"""The emulated world: one plant, one time axis, one seed, and the devices in it.
 
-Devices register as `Scheduled` parts: each says when it next has something to do and does it. In
-virtual time `VirtualClock.sleep_until_ns` moves the world; in real time the emulation server calls
+Devices register as `Scheduled` parts: each gives the time of its next action, and acts at that time. In
+virtual time `VirtualClock.sleep_until_ns` advances the world; in real time the emulation server calls
 `advance_to` with the monotonic clock. World time starts at 0 in both cases, so the order of events
 and every random number depend on the seed alone.
 
-The parts stand in a list in the order in which they are due. A part that `announces` says when its place in
-it has to change; any other one is asked before every step.
+A list holds the parts in the order of their due times. A part with `announces` reports changes of its due
+time; any other part is polled before every step.
 
-What a part raises is a defect of it. It is raised once; from then on the part is silent, as a device is that
-has died, so that a bench that closes can still hold the robot with the others.
+An exception raised by a part is a defect of that part. It is raised once; from then on the part does not act,
+like a device that has failed, so that a bench that closes can still hold the robot with the other devices.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ NEVER_NS = 1 << 62
 
 
 class Scheduled(Protocol):
-    """A part of the world that acts at times of its own.
+    """A part of the world that acts at times that it plans.
 
     Attributes:
-        alone: what it does in `on_due` never changes when another part is due.
-        announces: it calls `World.changed` whenever it will be due at another time than it has said, unless
-            that follows from its own `on_due`; so it need not be asked again and again.
-        broken: set by the world once it has raised: it does not act any more.
+        alone: its `on_due` never changes the due time of another part.
+        announces: it calls `World.changed` whenever its due time changes, except in its own `on_due`; so it
+            need not be polled.
+        broken: set by the world after it has raised an exception; it does not act any more.
     """
 
     alone: bool = False
@@ -55,12 +55,12 @@ class Scheduled(Protocol):
 
 
 class World:
-    """Holds the plant, the faults and the scheduled parts, and moves them in one order.
+    """Holds the plant, the faults and the scheduled parts, and advances them in order of time.
 
     Attributes:
         now_ns: world time.
-        failures: by kind of device, what code of another package has raised; its part is silent since then.
-        enclose: what every part is put into that is added from now on.
+        failures: errors raised by code of another package, by kind of device, which then acts no more.
+        enclose: function that wraps every part added from now on.
     """
 
     def __init__(self, plant: Plant, *, seed: int = 0, faults: FaultPlan | None = None) -> None:
@@ -77,7 +77,7 @@ class World:
         self.enclose: Callable[[Scheduled], Scheduled] | None = None
 
     def add(self, part: Scheduled) -> None:
-        """Register a part; ties in time are resolved in order of registration."""
+        """Register a part; parts due at the same time act in order of registration."""
         if self.enclose is not None:
             part = self.enclose(part)
         place, announces = len(self._parts), getattr(part, "announces", False)
@@ -90,13 +90,13 @@ class World:
             self._asked.append((place, part))
 
     def changed(self, part: Scheduled) -> None:
-        """A part that `announces` will be due at another time than it has said."""
+        """Update the due time of a part that `announces` its changes."""
         place = self._places.get(id(part))
         if place is not None:
             self._move(place, part.next_due_ns())
 
     def _move(self, place: int, due_ns: int) -> None:
-        """Put a part where it belongs among the others."""
+        """Change the due time of a part in the ordered list."""
         before_ns, order = self._due_ns[place], self._order
         if due_ns != before_ns:
             self._due_ns[place] = due_ns
@@ -104,7 +104,7 @@ class World:
             insort(order, (due_ns, place))
 
     def _ask(self) -> None:
-        """Ask the parts that do not announce it when they are due next."""
+        """Poll the due times of the parts that do not announce changes."""
         for place, part in self._asked:
             try:
                 self._move(place, part.next_due_ns())
@@ -113,7 +113,7 @@ class World:
                 raise
 
     def _broken(self, place: int, error: Exception) -> None:
-        """Never ask a part again that has raised; ours are no defects: a stop may be raised anywhere."""
+        """Disable a part that has raised, except for a `HilError`: a stop may be raised anywhere."""
         if not isinstance(error, HilError):
             self._parts[place].broken = True
             self._places.pop(id(self._parts[place]), None)
@@ -121,15 +121,15 @@ class World:
             self._move(place, NEVER_NS)
 
     def rng(self, name: str) -> np.random.Generator:
-        """An independent random stream for a named device, fixed by the world's seed."""
+        """Return an independent random stream for a named device, fixed by the world's seed."""
         return random_stream(self.seed, name)
 
     def sync_plant(self) -> None:
-        """Bring the plant up to world time (lazily: it is only integrated when its state is read)."""
+        """Integrate the plant up to world time; `advance_to` integrates it only up to the last action."""
         self.plant.advance(self.now_ns)
 
     def advance_to(self, t_ns: int) -> None:
-        """Move the world to `t_ns`, letting every part act at its own time on the way."""
+        """Advance the world to `t_ns`; every part acts at its own due times on the way."""
         if t_ns < self.now_ns:
             return
         parts, due_ns, order, asked, plant = self._parts, self._due_ns, self._order, self._asked, self.plant
@@ -166,20 +166,20 @@ class World:
 
 
 def random_stream(seed: int, name: str) -> np.random.Generator:
-    """The random stream of a named part of the world with this seed."""
+    """Return the random stream of a named part of the world for this seed."""
     return np.random.default_rng([seed, zlib.crc32(name.encode())])
 
 
 @dataclass(eq=False)
 class _Planned:
-    """Something to be done while others sleep."""
+    """A task to be run while a caller sleeps."""
 
     task: Task
     due_ns: int
 
 
 class VirtualClock(Clock):
-    """Time that moves only when a caller waits; waiting advances the world."""
+    """Virtual time: it advances only while a caller waits, and then advances the world."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -191,10 +191,10 @@ class VirtualClock(Clock):
         return self._world.now_ns
 
     def sleep_until_ns(self, t_ns: int) -> None:
-        """Advance the world to `t_ns` at once, with what was scheduled on the way.
+        """Advance the world to `t_ns`, running scheduled tasks on the way.
 
         Raises:
-            UsageError: `t_ns` is never.
+            UsageError: `t_ns` is `NEVER_NS` or later.
         """
         if t_ns >= NEVER_NS:
             raise UsageError("the virtual clock was asked to sleep for ever")
@@ -203,7 +203,7 @@ class VirtualClock(Clock):
         self._world.advance_to(t_ns)
 
     def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
-        """Call `task` while a caller sleeps beyond its time; it may sleep itself, alone."""
+        """Run `task` when a sleep passes its due time; while it sleeps itself, no other task runs."""
         planned = _Planned(task, due_ns)
         self._planned.append(planned)
 

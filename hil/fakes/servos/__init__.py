@@ -1,4 +1,4 @@
-"""The emulated servo bus: eight servos with their firmware, timing and faults."""
+"""The emulated servo bus: eight servos with firmware, timing and faults."""
 
 from hil.fakes.servos.bus import ServoBus
 from hil.fakes.servos.bus_truth import ServoBusOptions

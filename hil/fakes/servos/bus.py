@@ -1,8 +1,8 @@
 """Eight emulated servos on one half-duplex bus: addressing and the order of replies.
 
-Everything here is timing and addressing; what a servo does is in `servo.py` and `single_instructions.py`. The
-bus is a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s
-heat, voltage and overload.
+This module has timing and addressing; `servo.py` and `single_instructions.py` have the servos. The bus ticks
+every 4 ms for measurement grid, profiles and bus watchdogs, and every 0.1 s for temperature, voltage and
+overload.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _FAST = (protocol.FAST_SYNC_READ, protocol.FAST_BULK_READ)
 
 
 class ServoBus(SerialChip, Scheduled):
-    """A `SerialChip` with eight servos behind it, joint by joint as in `hil.core.signals.SERVOS`.
+    """Serial bus with eight servos, ordered as in `hil.core.signals.SERVOS`.
 
     Args:
-        world: plant, seed and faults; the bus registers itself as a part.
-        name: device name, also of its faults.
-        options: how the servos are set up and supplied.
+        world: plant, seed and faults; the bus registers itself there.
+        name: device name of its faults.
+        options: settings and supply of the servos.
     """
 
     Options = ServoBusOptions
@@ -46,7 +46,7 @@ class ServoBus(SerialChip, Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest) -> ServoBus:
-        """The bus of a table of the bench file: servos as the bench believes them, or as it says."""
+        """Make the bus from its table of the bench file; the options may differ from it."""
         config = request.config
         model = config.model_number or DEFAULT_MODEL
         options = request.options(cls.Options, ids=config.ids, baud=config.baud, model_number=model)
@@ -84,7 +84,7 @@ class ServoBus(SerialChip, Scheduled):
         return self._due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """One tick of the grid."""
+        """Handle one tick of the grid."""
         self._due_ns = t_ns + GRID_NS
         self._sensing.tick()
         if not self._faults.plan.empty:
@@ -107,7 +107,7 @@ class ServoBus(SerialChip, Scheduled):
             servo.boot(t_ns, encoder[servo.joint])
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Answer instruction packets; servos set to another baud rate hear noise."""
+        """Answer instruction packets; servos with another baud rate do not receive them."""
         if not self._faults.plan.empty:
             self._follow_faults(t_ns)
         if baud != self._baud:
@@ -118,7 +118,7 @@ class ServoBus(SerialChip, Scheduled):
         return [reply for instruction in instructions for reply in self._execute(instruction, t_ns)]
 
     def _listeners(self, t_ns: int) -> list[Servo]:
-        """Servos that hear what is sent now: connected, powered, started up and at the client's baud rate."""
+        """Servos that receive data now: connected, powered, booted and at the client's baud rate."""
         baud, absent = self._baud, self.options.absent
         return [
             s
@@ -153,7 +153,7 @@ class ServoBus(SerialChip, Scheduled):
         return self._obey(instruction, listeners, t_ns)
 
     def _obey(self, instruction: Instruction, listeners: list[Servo], t_ns: int) -> list[Reply]:
-        """A single instruction: the one that has the ID answers, those with the secondary ID do not."""
+        """Execute a single instruction; a servo addressed by its secondary ID does not answer."""
         level = {protocol.PING: 0, protocol.READ: 1}.get(instruction.code, 2)
         replies = []
         for servo in [s for s in listeners if s.answers_to(instruction.servo_id)]:
@@ -169,7 +169,7 @@ class ServoBus(SerialChip, Scheduled):
     def _status(
         self, servo: Servo, error: int, parameters: bytes, t_ns: int, servo_id: int | None = None
     ) -> list[Reply]:
-        """A status packet, under the ID that was asked where the instruction has changed it."""
+        """Build a status packet; its ID is `servo_id` if the instruction has changed the servo's ID."""
         sender = servo.id if servo_id is None else servo_id
         data = protocol.status(sender, error | servo.alert, parameters)
         ready_ns = t_ns + self._processing_ns + servo.delay_ns
@@ -191,7 +191,7 @@ class ServoBus(SerialChip, Scheduled):
         return replies
 
     def _write_group(self, instruction: Instruction, listeners: list[Servo], t_ns: int) -> None:
-        """Sync and bulk write: no answers, each servo takes its part or refuses it in silence."""
+        """Execute a sync or bulk write: no replies; a servo rejects invalid data silently."""
         for servo in listeners:
             if not servo.torque:
                 self._live.sense(servo, t_ns)
@@ -201,7 +201,7 @@ class ServoBus(SerialChip, Scheduled):
                     servo.write(address, data)
 
     def _read_in_turn(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
-        """Sync and bulk read: each servo answers when the one before it has finished."""
+        """Execute a sync or bulk read: each servo replies when the one before it has finished."""
         byte_ns = 10_000_000_000 // self._baud
         replies: list[Reply] = []
         free_ns = t_ns
@@ -222,7 +222,7 @@ class ServoBus(SerialChip, Scheduled):
         return replies
 
     def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
-        """Fast sync and bulk read: one packet that the servos write together."""
+        """Execute a fast sync or bulk read: one packet that the servos send together."""
         able = [s for s in listeners if s.reads_fast]
         if not self._faults.plan.empty:
             able = [s for s in able if not self._faults.silent(s.joint, t_ns)]
@@ -257,7 +257,7 @@ class ServoBus(SerialChip, Scheduled):
     def _spaced(
         self, pieces: list[bytes], places: list[tuple[int, Servo]], wanted: Wanted, ready_ns: int, t_ns: int
     ) -> list[Reply]:
-        """Pieces of a fast reply with holes where servos are missing, spoilt one by one."""
+        """Pieces of a fast reply with gaps for missing servos, each with its faults."""
         byte_ns = 10_000_000_000 // self._baud
         replies, next_place = [], 0
         for piece, (place, servo) in zip(pieces, places, strict=True):
@@ -269,7 +269,7 @@ class ServoBus(SerialChip, Scheduled):
         return replies
 
     def _follow_faults(self, t_ns: int) -> None:
-        """Apply faults of power, resets and slips; which servos answer is decided anew at every packet."""
+        """Apply faults of power, resets and slips; faults of replies are applied per packet."""
         for servo in self.servos:
             j = servo.joint
             if self._faults.unpowered(j, t_ns):
@@ -285,7 +285,7 @@ class ServoBus(SerialChip, Scheduled):
             self._slide(servo, t_ns)
 
     def _slide(self, servo: Servo, t_ns: int) -> None:
-        """Let a motor turn further than its joint, whose hub slips."""
+        """Let the motor turn further than its joint while the hub slips."""
         j = servo.joint
         share = self._faults.share(j, t_ns)
         if share < 1.0:
@@ -303,7 +303,7 @@ class ServoBus(SerialChip, Scheduled):
 
 
 def _collided(replies: list[Reply]) -> list[Reply]:
-    """Servos with the same ID talk at once: what is left on the line is not a valid packet."""
+    """Combine the replies of servos with the same ID: the result is not a valid packet."""
     if len(replies) < 2:
         return replies
     return [Reply(replies[0].ready_ns, protocol.mixed([r.data for r in replies]))]

@@ -58,7 +58,7 @@ Word = Annotated[int, Within(0, 65_535, "a register of two bytes")]
 
 
 def _as_number(key: object) -> object:
-    """TOML has keys of text only."""
+    """Convert a key from TOML, where keys are text, to a number."""
     return int(key) if isinstance(key, str) and key.isdecimal() else key
 
 
@@ -128,7 +128,7 @@ class ServoBusOptions:
     overload_s: float = 2.0
 
     def pack_v(self) -> float:
-        """`supply_v`, or what follows from the model where it was left out."""
+        """Return `supply_v`, or a voltage that suits the model if it is not given."""
         if self.supply_v is not None:
             return self.supply_v
         model = servo_model(self.model_number)
@@ -140,6 +140,6 @@ class ServoBusOptions:
         return self.model_by_joint.get(joint, self.model_number)
 
     def models(self) -> tuple[ServoModel, ...]:
-        """What each of the eight is, by joint."""
+        """Model of each of the eight servos, by joint."""
         known = servo_models()
         return tuple(known.get(self.model_of(j)) or servo_model(self.model_number) for j in range(8))

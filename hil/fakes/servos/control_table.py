@@ -1,7 +1,7 @@
 """A servo's control table as memory: access rights, ranges, the EEPROM lock, indirect addresses.
 
-Reading and writing go by byte ranges as on the wire; a write is split into whole registers, with
-indirect data resolved to what they point at. Side effects belong to the servo.
+Reads and writes use byte ranges as on the wire; a write is split into whole registers, with indirect data
+resolved to their targets. The servo implements side effects.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Plan = tuple[tuple[Register, int], ...]
 
 
 class WriteRefused(Exception):
-    """A write that the servo does not accept; `code` is the error number of its status."""
+    """The servo rejects a write; `code` is the error number of its status packet."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -42,11 +42,11 @@ class WriteRefused(Exception):
 
 
 class RegisterRow:
-    """Registers that lie one behind the other, written together.
+    """Consecutive registers that are written together.
 
     Attributes:
-        address, end: from the first byte to behind the last.
-        pack: the bytes of one value per register.
+        address, end: address of the first byte, and of the byte after the last.
+        pack: packs one value per register.
     """
 
     def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:
@@ -63,15 +63,15 @@ def _code(register: Register) -> str:
 
 
 class Layout:
-    """What follows from a model's control table alone, worked out once.
+    """Data derived from a model's control table, computed once.
 
     Attributes:
         factory: bytes after a factory reset.
-        by_address: register by its first byte.
-        unpack: how a register is read, and where, by name.
-        indirect: address of the pointer, by address of the indirect data byte.
-        first_indirect: where pointers and what they point at begin to matter to a read.
-        measured, motion: the live registers, and those among them that every cycle reads.
+        by_address: register by its start address.
+        unpack: struct and address of each register, by name.
+        indirect: address of the pointer, by the address of the indirect data byte.
+        first_indirect: first address at which a read must resolve indirect data.
+        measured, motion: the live registers, and those of them that are read in every cycle.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -93,20 +93,20 @@ class Layout:
 
 @cache
 def layout(model: ServoModel) -> Layout:
-    """The layout of a model's table."""
+    """Return the cached layout of a model's table."""
     return Layout(model)
 
 
 class ControlTable:
-    """The bytes of a servo of one model, with their rules.
+    """Bytes of a servo's control table, with access rules.
 
     Args:
-        model: whose table it is.
+        model: model of the servo.
 
     Attributes:
-        model: whose table it is.
-        layout: of that table.
-        data: the raw bytes; live registers are put here before they are read.
+        model: model of the servo.
+        layout: layout of the table.
+        data: raw bytes; live registers are updated before they are read.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -117,24 +117,24 @@ class ControlTable:
         self._looks: dict[tuple[int, int], list[int]] = {}
 
     def get(self, name: str) -> int:
-        """Raw count of a register."""
+        """Return the raw count of a register."""
         form, address = self._unpack[name]
         raw: int = form.unpack_from(self.data, address)[0]
         return raw
 
     def put_row(self, row: RegisterRow, data: bytes) -> None:
-        """Set registers that lie one behind the other, without any check."""
+        """Write consecutive registers without any check."""
         self.data[row.address : row.end] = data
 
     def put(self, name: str, raw: int) -> None:
-        """Set a register without any check."""
+        """Write a register without any check."""
         register = self._registers[name]
         self.data[register.address : register.end] = register.encode(raw)
         if name.startswith("indirect_address"):
             self._forget()
 
     def read(self, address: int, length: int) -> bytes | None:
-        """Bytes of a range with indirect data resolved; None beyond the table."""
+        """Return the bytes of a range with indirect data resolved; None beyond the table."""
         end = address + length
         if length == 0 or end > len(self.data):
             return None
@@ -147,10 +147,10 @@ class ControlTable:
         return bytes(map(self.data.__getitem__, look))
 
     def plan(self, address: int, length: int) -> Plan:
-        """Whole registers, with offsets into the data, that a write of this range means.
+        """Return the registers that a write to this range covers, with their offsets into the data.
 
         Raises:
-            WriteRefused: undefined or cut registers, or such as the firmware does not have.
+            WriteRefused: a register is undefined, only partly covered, or not in this firmware.
         """
         key = (address, length)
         plan = self._plans.get(key)
@@ -159,7 +159,7 @@ class ControlTable:
         return plan
 
     def check(self, register: Register, raw: int, torque: bool) -> None:
-        """Raise `WriteRefused` when a register cannot take a value now."""
+        """Raise `WriteRefused` if a register cannot have this value now."""
         if not register.writable:
             raise WriteRefused(protocol.ACCESS)
         if torque and (register.eeprom or register.name.startswith("indirect_address")):
@@ -170,7 +170,7 @@ class ControlTable:
             raise WriteRefused(protocol.DATA_LIMIT)
 
     def reset_ram(self) -> None:
-        """RAM as after power-up."""
+        """Reset the RAM registers to their values after power-up."""
         first = self._registers["torque_enable"].address
         self.data[first:] = self.layout.factory[first:]
         self.put("goal_pwm", self.get("pwm_limit"))
@@ -178,12 +178,12 @@ class ControlTable:
         self._forget()
 
     def _forget(self) -> None:
-        """What indirect data stand for has changed."""
+        """Clear the caches, because indirect addresses have changed."""
         self._plans.clear()
         self._looks.clear()
 
     def snapshot(self) -> dict[str, int]:
-        """What a control table backup keeps."""
+        """Return the registers that a control table backup stores."""
         return {
             name: self.get(name)
             for name, register in self._registers.items()
@@ -191,7 +191,7 @@ class ControlTable:
         }
 
     def restore(self, snapshot: dict[str, int], *, eeprom: bool) -> None:
-        """Put a backup back: its RAM, and its EEPROM where asked."""
+        """Restore the RAM registers of a backup, and the EEPROM registers with `eeprom`."""
         for name, raw in snapshot.items():
             if eeprom or not self._registers[name].eeprom:
                 self.put(name, raw)

@@ -1,4 +1,4 @@
-"""Parameters of group instructions (sync and bulk): addressed servos and their data."""
+"""Decodes group instructions (sync and bulk): addressed servos and their data."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from hil.fakes.servos import protocol
 from hil.fakes.servos.protocol import Instruction
 
 Wanted = list[tuple[int, int, int]]
-"""(ID, address, length) in the order asked."""
+"""(ID, address, length) in the order of the request."""
 
 
 def pair(data: bytes) -> tuple[int, int]:
-    """Two little-endian words: address and length."""
+    """Decode two little-endian words: address and length."""
     return data[0] | data[1] << 8, data[2] | data[3] << 8
 
 
@@ -32,7 +32,7 @@ def _bulk_wanted(instruction: Instruction) -> Wanted:
 
 
 def write_parts(instruction: Instruction) -> list[tuple[int, int, bytes]]:
-    """(ID, address, data) of a sync or bulk write; what is cut off or malformed is left out."""
+    """Return (ID, address, data) of a sync or bulk write; truncated or malformed parts are left out."""
     parameters: bytes = instruction.parameters
     parts: list[tuple[int, int, bytes]] = []
     if instruction.servo_id != protocol.BROADCAST:

@@ -1,11 +1,11 @@
-"""Makes a servo's `JointCommand` of torque, operating mode, profile and goals.
+"""Computes a servo's `JointCommand` from torque enable, operating mode, profile and goals.
 
-Goals are in register counts with the servo's direction and turns; the motor's command is in the joint's
-angles. What registers may be written, and when, is the servo's affair.
+Goals are in register counts with the servo's direction and turns; the motor's command is in joint angles.
+`servo.py` checks which registers may be written, and when.
 
-The profile is the trajectory that the firmware makes of a goal: step, ramp, rectangle, triangle or trapezoid.
-Velocity-based profiles: Profile Velocity is the top speed, Profile Acceleration the slope; time-based:
-the whole time and the time of acceleration, in ms. Zero means without limit (e-manual, profile section).
+A profile is the trajectory that the firmware generates for a goal: step, ramp, rectangle, triangle or
+trapezoid. Velocity-based profiles: Profile Velocity is the top speed, Profile Acceleration the slope;
+time-based: total time and acceleration time, in ms. Zero means no limit (e-manual, profile section).
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _IN_POSITION, _FOLLOWING = 12, 100
 
 
 class Trajectory:
-    """Where position (counts) or velocity (velocity counts) should be now.
+    """Present reference of position (counts) or velocity (velocity counts).
 
     Args:
-        model: what the counts of goals and profiles are.
+        model: gives the units of goals and profiles.
 
     Attributes:
         position, speed: position counts, and counts per second, of a position trajectory.
         velocity: velocity counts of a velocity trajectory.
         shape: `STEP`, `RECTANGLE`, `TRIANGLE` or `TRAPEZOID` of the latest position goal.
-        ongoing: whether `advance` has something to do.
+        ongoing: whether the trajectory still changes.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -51,13 +51,13 @@ class Trajectory:
         self.rest(0.0)
 
     def rest(self, position: float) -> None:
-        """Stand still at a position."""
+        """Stop at a position."""
         self.position, self.speed, self.velocity = position, 0.0, 0.0
         self._goal, self._top, self._slope = position, math.inf, math.inf
         self.shape, self.ongoing, self._turning = STEP, False, False
 
     def turn(self, goal: int, acceleration: int, timed: bool) -> None:
-        """A new velocity goal."""
+        """Start towards a new velocity goal."""
         self._goal, self._turning, self.shape = float(goal), True, STEP
         if not acceleration:
             self.velocity, self.ongoing = float(goal), False
@@ -67,7 +67,7 @@ class Trajectory:
         self.ongoing = change > 0.0
 
     def move(self, goal: int, acceleration: int, velocity: int, timed: bool) -> None:
-        """A new position goal, from wherever the trajectory is."""
+        """Start towards a new position goal from the present state."""
         self._goal, self._turning = float(goal), False
         distance = abs(goal - self.position)
         if not velocity or distance == 0.0:
@@ -77,7 +77,7 @@ class Trajectory:
         if timed:
             rise = min(acceleration, velocity // 2) * _MS
             self._top = distance / (velocity * _MS - rise)
-            # A goal close by has a low top: a servo that comes in fast has to brake in that time, too.
+            # A near goal has a low top speed: a servo that arrives faster must brake within that time, too.
             self._slope = max(self._top, abs(self.speed)) / rise if rise else math.inf
         else:
             self._top = velocity * self._speed_scale
@@ -108,7 +108,7 @@ class Trajectory:
             self.position += moved
 
     def _approach(self, left: float, before: float, dt_s: float) -> float:
-        """Largest speed at the end of a step from which the remaining distance is enough to brake.
+        """Largest speed at the end of a step from which it can still brake within the remaining distance.
 
         With v the speed after the step and u before it, v^2 / 2a + (u + v) dt / 2 = left.
         """
@@ -120,16 +120,16 @@ class Trajectory:
 
 
 class PositionRegister:
-    """Turns encoder counts (joint direction, from joint angle 0) into what the register shows, and back.
+    """Converts between encoder counts (joint direction, from joint angle 0) and Present Position.
 
     Args:
-        model: how the servo counts.
+        model: gives the counts per turn.
         zero: encoder counts of the chip at joint angle 0.
 
     Attributes:
-        encoder: as last sensed.
+        encoder: last measured counts.
         sign: -1 in reverse mode.
-        homing: homing offset in force.
+        homing: active homing offset.
     """
 
     def __init__(self, model: ServoModel, zero: int) -> None:
@@ -143,37 +143,37 @@ class PositionRegister:
         return (self.sign * self.encoder + self._base + self.homing + _HALF_WORD) % _WORD - _HALF_WORD
 
     def wrap(self) -> None:
-        """Count from one turn again; a homing offset still applies on top."""
+        """Reduce the position to one turn; a homing offset still applies on top."""
         base = self.sign * self._zero
         turns = (self.sign * self.encoder + base) // self._turn_counts
         self._base = base - turns * self._turn_counts
 
     def slip(self, counts: int) -> None:
-        """The encoder's magnet turns on its shaft."""
+        """Shift the encoder by a slip of its magnet on the shaft."""
         self._zero += counts
         self._base += self.sign * counts
 
     def joint_rad(self, counts: float) -> float:
-        """Joint angle at which the register would show `counts`."""
+        """Joint angle at which Present Position would be `counts`."""
         return self.sign * (counts - self._base - self.homing) * self._rad_per_count
 
 
 class Axis:
-    """Motor of one servo.
+    """Motor control of one servo.
 
     Args:
         joint: index in the plant.
-        plant: takes the commands.
-        table: the servo's registers; another one comes with `load`.
+        plant: receives the commands.
+        table: the servo's registers; `load` may replace them.
         zero: encoder counts of the chip at joint angle 0.
 
     Attributes:
-        position: Present Position.
-        trajectory: of the latest goal.
+        position: Present Position and its conversion.
+        trajectory: trajectory to the latest goal.
         torque: whether the motor is driven.
-        mode: operating mode in force.
-        tripped: the bus watchdog has stopped it.
-        share: how far the joint turns for each radian of the motor: less than 1 where its hub slips.
+        mode: active operating mode.
+        tripped: whether the bus watchdog has stopped the motor.
+        share: joint angle per motor angle: less than 1 while the hub slips.
     """
 
     def __init__(self, joint: int, plant: Plant, table: ControlTable, zero: int) -> None:
@@ -187,7 +187,7 @@ class Axis:
         self._timed = False
 
     def load(self, table: ControlTable) -> None:
-        """Take mode, direction and homing offset from the registers, which stay its own from now on."""
+        """Use these registers from now on, and apply their mode, direction and homing offset."""
         self._table = table
         firmware, drive_mode = table.get("firmware_version"), table.get("drive_mode")
         self.mode = table.get("operating_mode")
@@ -197,35 +197,35 @@ class Axis:
         self.position.homing = min(max(offset, -most), most) if self.mode == POSITION else offset
 
     def start_over(self) -> None:
-        """Within one turn, at rest, motor free."""
+        """Reset to a position within one turn, at rest, torque off."""
         self.torque = self.tripped = False
         self.forget_turns()
         self._plant.command(self._joint, OFF)
 
     def forget_turns(self) -> None:
-        """Count from one turn again, and rest there."""
+        """Reduce the position to one turn, and stop there."""
         self.position.wrap()
         self._table.put("goal_position", self.position.present)
         self.trajectory.rest(self.position.present)
 
     def lose_power(self) -> None:
-        """The motor is free."""
+        """Switch the torque off."""
         self.torque = False
         self._plant.command(self._joint, OFF)
 
     def trip(self) -> None:
-        """Stop and hold."""
+        """Stop and hold the position after a bus watchdog timeout."""
         self.tripped = True
         self.trajectory.rest(self.position.present)
         self.drive(stopped=True)
 
     def advance(self, dt_s: float) -> None:
-        """One grid step of a profile."""
+        """Advance the profile by one step of the grid."""
         self.trajectory.advance(dt_s)
         self.drive()
 
     def set_torque(self, on: bool) -> None:
-        """Switch the motor; on, it goes from where it is to the goals that stand in the registers."""
+        """Switch the torque; when switched on, the motor starts towards the goals in the registers."""
         was, self.torque = self.torque, on
         if on and not was:
             if self.mode == POSITION:
@@ -236,7 +236,7 @@ class Axis:
         self.drive()
 
     def pursue(self, name: str, raw: int) -> None:
-        """Make a trajectory of a goal where the mode uses it, and tell the motor."""
+        """Start towards a new goal if the operating mode uses it, and update the motor's command."""
         trajectory, mode = self.trajectory, self.mode
         if not self.torque or self._there_already(name, raw):
             return
@@ -249,7 +249,7 @@ class Axis:
         self.drive()
 
     def _there_already(self, name: str, raw: int) -> bool:
-        """Whether a goal is what the motor is being asked for anyway."""
+        """Return whether a goal is already the motor's set-point."""
         trajectory = self.trajectory
         if trajectory.ongoing or self.tripped:
             return False
@@ -258,7 +258,7 @@ class Axis:
         return name == "goal_position" and self.mode in _WITH_POSITION and trajectory.position == raw
 
     def drive(self, stopped: bool = False) -> None:
-        """Ask the motor for what mode, goals and trajectory mean."""
+        """Send the motor the command that follows from mode, goals and trajectory."""
         if not self.torque:
             self._plant.command(self._joint, OFF)
             return
@@ -279,7 +279,7 @@ class Axis:
         self._plant.command(self._joint, command)
 
     def moving_status(self, present: int) -> int:
-        """Moving Status (123) at a Present Position."""
+        """Value of the register Moving Status (123) at a Present Position."""
         trajectory = self.trajectory
         if self.mode not in _WITH_POSITION:
             return 0

@@ -1,7 +1,7 @@
-"""Protocol 2.0 as a servo's firmware sees it: finding instruction packets in a byte stream, building replies.
+"""Protocol 2.0 on the side of a servo: finds instruction packets in a byte stream, builds replies.
 
-Written from the vendor's description and held to its test vectors (ROBOTIS e-manual, Protocol 2.0); it
-shares no code with the driver's side.
+Written from the vendor's description and checked with its test vectors (ROBOTIS e-manual, Protocol 2.0); the
+driver shares no code with it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _SHORTEST, _LONGEST = 3, 1024
 
 
 class Instruction(NamedTuple):
-    """One instruction packet; `sound`: whether its checksum was right."""
+    """One instruction packet; `sound`: whether its checksum is correct."""
 
     servo_id: int
     code: int
@@ -40,11 +40,11 @@ class Instruction(NamedTuple):
 
 
 checksum: Callable[..., int] = crc16.umts
-"""CRC-16 of bytes with polynomial 0x8005; a second argument is the checksum that it continues."""
+"""CRC-16 of bytes with polynomial 0x8005; the second argument is a checksum to continue."""
 
 
 def stuff(body: bytes) -> bytes:
-    """An extra FD after every FF FF FD, so that no header appears inside a packet."""
+    """Insert an extra FD after every FF FF FD, so that no header appears inside a packet."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
@@ -54,7 +54,7 @@ def unstuff(body: bytes) -> bytes:
 
 
 def packet(servo_id: int, body: bytes) -> bytes:
-    """Header, ID, length, stuffed body (instruction first) and checksum."""
+    """Build a packet: header, ID, length, stuffed body (instruction first) and checksum."""
     body = stuff(body)
     data = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     return data + checksum(data).to_bytes(2, "little")
@@ -66,13 +66,13 @@ def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[bytes]:
-    """The pieces of a fast read's reply, one per servo (ID, error, data), the head with the first.
+    """Build the pieces of a fast read's reply, one per servo (ID, error, data); the first has the header.
 
     The pieces are not stuffed, and every checksum covers all bytes before it.
 
     Args:
-        parts: servos that answer, in order.
-        declared: bytes of instruction and pieces of all servos asked, which the head announces.
+        parts: replying servos, in order.
+        declared: length in the header: instruction and pieces of all addressed servos, bytes.
     """
     head = HEADER + bytes((BROADCAST,)) + (declared & 0xFFFF).to_bytes(2, "little") + bytes((STATUS,))
     pieces = []
@@ -87,7 +87,7 @@ def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[byte
 
 
 def mixed(packets: Sequence[bytes]) -> bytes:
-    """Bytes on a line that several servos drive at once, none quite in step with the others."""
+    """Return the bytes on a line that several servos drive at once, slightly out of step."""
     line = bytearray(b"\xff" * max(map(len, packets)))
     for shift, data in enumerate(packets):
         for k, byte in enumerate(data):
@@ -96,10 +96,10 @@ def mixed(packets: Sequence[bytes]) -> bytes:
 
 
 class InstructionParser:
-    """Finds instruction packets in a stream that may hold noise and pieces.
+    """Finds instruction packets in a stream that may contain noise and fragments.
 
-    A pause of more than 1.5 ms between bytes makes the servos wait for a new header. A read is asked with
-    the same bytes in every cycle, so that the latest one is remembered.
+    A pause of more than 1.5 ms between bytes makes the servos wait for a new header. The latest read is
+    cached, because every cycle requests the same read.
     """
 
     def __init__(self) -> None:
@@ -108,11 +108,11 @@ class InstructionParser:
         self._read: tuple[bytes, list[Instruction]] = (b"", [])
 
     def reset(self) -> None:
-        """Forget what has been received so far."""
+        """Discard the data received so far."""
         self._buffer.clear()
 
     def feed(self, data: bytes, first_ns: int, last_ns: int) -> list[Instruction]:
-        """Complete packets in `data`, whose bytes arrived from `first_ns` to `last_ns`."""
+        """Return the complete packets after `data`, whose bytes arrived from `first_ns` to `last_ns`."""
         if first_ns - self._last_ns > BYTE_GAP_NS:
             self._buffer.clear()
         self._last_ns = last_ns
@@ -155,7 +155,7 @@ class InstructionParser:
 
 
 def _whole(data: bytes) -> Instruction | None:
-    """The instruction of bytes that are one sound instruction packet and nothing else."""
+    """Return the instruction if the bytes are exactly one valid instruction packet, else None."""
     if len(data) < _OVERHEAD + _SHORTEST or not data.startswith(HEADER):
         return None
     length = data[5] | data[6] << 8

@@ -1,6 +1,6 @@
-"""The registers that change by themselves: what a servo senses and shows, with the faults of its sensor.
+"""Live registers: measurements of a servo with the faults of its sensors.
 
-Some servos renew what they show at a rhythm of their own. The public recordings have one joint state every
+Some servos update their registers at a fixed period. The public recordings have one joint state every
 16.0 ms: half of the periods within 0.04 ms, a standard deviation of 0.5 ms, one period in five hundred above
 20 ms, the longest 29 ms.
 """
@@ -25,12 +25,12 @@ _SHORTEST_GAP_S = 0.004
 
 
 class LiveRegisters:
-    """Brings a servo's measurements up to date when they are read.
+    """Updates a servo's measurements when they are read.
 
     Args:
         sensing: encoders, velocities and currents of all servos.
-        thermal: voltage and temperatures.
-        faults: of the sensors.
+        thermal: supply voltage and temperatures.
+        faults: faults of the sensors.
     """
 
     def __init__(self, sensing: Sensing, thermal: ThermalModel, faults: ServoFaults) -> None:
@@ -41,12 +41,12 @@ class LiveRegisters:
         self._duty_stamp, self._duty = (-1, -1.0), [0.0] * 8
 
     def hold(self) -> None:
-        """Measure now; from the first call on, this is what the servos know until the next."""
+        """Measure all servos now; from the first call on, measurements are updated here only."""
         self._holding = True
         self._measure()
 
     def sense(self, servo: Servo, t_ns: int) -> tuple[int, int]:
-        """Let a servo sense; its velocity and current counts in the joint's direction."""
+        """Update a servo's measurements; returns its velocity and current counts in the joint's direction."""
         sensing, faults, j = self._sensing, self._faults, servo.joint
         self._renew(t_ns)
         all_counts, all_velocities, all_currents = self._all
@@ -60,7 +60,7 @@ class LiveRegisters:
         return velocity, current
 
     def refresh(self, servo: Servo, address: int, length: int, t_ns: int) -> None:
-        """Put what a read of this range may see into the servo's table."""
+        """Update the registers that a read of this range may cover."""
         end, layout = address + length, servo.table.layout
         measured, motion = layout.measured, layout.motion
         if end <= measured.address or (address >= measured.end and end <= layout.first_indirect):
@@ -76,14 +76,14 @@ class LiveRegisters:
         )
 
     def _duties(self, t_ns: int) -> list[float]:
-        """Duty cycles (8,) of the motors now."""
+        """Present duty cycles (8,) of the motors."""
         stamp = (t_ns, self._thermal.volts)
         if self._duty_stamp != stamp:
             self._duty_stamp, self._duty = stamp, self._sensing.duty(self._thermal.volts).tolist()
         return self._duty
 
     def _renew(self, t_ns: int) -> None:
-        """Measure, if time has passed since all eight did so last."""
+        """Measure all servos, unless they have been measured at this time."""
         stamp = (t_ns, self._sensing.ticks)
         if self._stamp != stamp and not self._holding:
             self._stamp = stamp
@@ -94,12 +94,12 @@ class LiveRegisters:
 
 
 class Cadence(Scheduled):
-    """Calls `renew` at the recorded rhythm.
+    """Calls `renew` at the recorded period.
 
     Args:
-        options: `cadence_s` and what belongs to it.
+        options: `cadence_s` and related options.
         rng: random stream of the bus.
-        renew: takes one measurement.
+        renew: makes one measurement.
     """
 
     alone = True
@@ -112,11 +112,11 @@ class Cadence(Scheduled):
         self._due_ns = 0
 
     def next_due_ns(self) -> int:
-        """When the servos measure next."""
+        """Time of the next measurement."""
         return self._due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Measure, and plan the next time about its place on the grid."""
+        """Measure, and schedule the next measurement near its grid point."""
         self._renew()
         self._slot += 1
         self._due_ns = max(t_ns + 1, self._slot * self._period_ns + nanoseconds(self._late_s()))

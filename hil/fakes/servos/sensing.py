@@ -1,8 +1,8 @@
 """Measurements of the eight servos: encoder counts with dither, and the lagging, truncated velocity.
 
-The firmware's velocity is modelled as a difference of encoder counts over 76 ms, 12 ms old, on a fixed
-grid of 4 ms: it lags the encoder by 52 ms, stretches a 72 ms fall to about 94 ms and, truncated towards
-zero, reads half a count low, as the authors' recordings show. It does not depend on when it is read.
+The firmware's velocity is modelled as a difference of encoder counts over 76 ms, 12 ms old, on a fixed grid
+of 4 ms: it lags the encoder by 52 ms, stretches a 72 ms fall to about 94 ms and, truncated towards zero,
+reads half a count low, as in the authors' recordings. It does not depend on the time of the read.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from hil.support.numba_jit import compile_for, inner, kernel
 # Rows of the scales (3, 8): counts per rad, velocity counts per count of a span, counts per A.
 PER_RAD, PER_SPAN, PER_A = range(3)
 
-# Rows of what is measured now (2, 8): angles in rad and currents in A.
+# Rows of the present measurement (2, 8): angles in rad and currents in A.
 ANGLES, CURRENTS = range(2)
 
-# Rows of what the servos show (3, 8): encoders, velocities and currents.
+# Rows of the register values (3, 8): encoders, velocities and currents.
 SHOWN_COUNTS, SHOWN_VELOCITIES, SHOWN_CURRENTS = range(3)
 
 OLD, SPAN = 3, 19
-"""How old the firmware's velocity is, and over how many points of the grid it is taken."""
+"""Age of the firmware's velocity, and its time span, in points of the grid."""
 
 
 @inner
 def count(history: Array, dither: Array, scales: Array, first: int, last: int) -> None:
-    """Make counts of the angles in the history.
+    """Convert the angles in the history to counts.
 
     Args:
-        history: (n, 8), which it changes.
+        history: (n, 8); updated.
         dither: (n, 8) counts.
-        scales: (3, 8).
-        first: row that holds angles.
-        last: so does every row up to this one; none does where `first` is behind it.
+        scales: (3, 8), rows `PER_RAD`, `PER_SPAN`, `PER_A`.
+        first: first row that holds angles.
+        last: last row that holds angles; none does if it is before `first`.
     """
     per_rad = scales[PER_RAD]
     for row in range(first, last + 1):
@@ -48,16 +48,16 @@ def count(history: Array, dither: Array, scales: Array, first: int, last: int) -
 
 @kernel
 def show(now: Array, history: Array, dither: Array, scales: Array, first: int, row: int, shown: Ints) -> None:
-    """Encoders, velocities and currents in the servos' counts, truncated towards zero.
+    """Convert to encoder, velocity and current counts of the servos; the last two truncate towards zero.
 
     Args:
-        now: (2, 8).
-        history: (n, 8), which it changes.
+        now: (2, 8) present angles and currents.
+        history: (n, 8); updated.
         dither: (n, 8) counts.
-        scales: (3, 8).
-        first: row of the history from which on it holds angles.
-        row: of the latest point.
-        shown: (3, 8) whole numbers: the result.
+        scales: (3, 8), rows `PER_RAD`, `PER_SPAN`, `PER_A`.
+        first: first row of the history that holds angles.
+        row: row of the latest grid point.
+        shown: (3, 8) integers; the result.
     """
     count(history, dither, scales, first, row)
     angles, amps, added = now[ANGLES], now[CURRENTS], dither[row]
@@ -80,14 +80,14 @@ class Sensing:
     """Encoder history of all eight joints, in counts of the joint's own direction from joint angle 0.
 
     Args:
-        plant: gives angles, rates and currents.
-        rng: of the dither.
-        models: of the eight servos: what their counts and motors are.
-        dither_counts: noise of the encoders before they count, one sigma.
+        plant: source of angles, rates and currents.
+        rng: random numbers of the dither.
+        models: models of the eight servos, with their units and motors.
+        dither_counts: noise of the encoders before rounding, one sigma.
 
     Attributes:
         resistance_ohm: (8,) of the motors.
-        ticks: samples of the grid taken so far.
+        ticks: number of grid samples taken so far.
     """
 
     def __init__(
@@ -115,11 +115,11 @@ class Sensing:
         compile_for(show, self._now, self._history, self._dither, self._scales, 0, 0, self._shown)
 
     def _draw(self) -> None:
-        """Dither of the next samples of the grid, counts."""
+        """Draw the dither of the next grid samples, counts."""
         self._dither = self._rng.normal(0.0, self._dither_counts, (_ROWS, 8))
 
     def tick(self) -> None:
-        """Take one sample of the grid: the angles; they become counts, all together, when they are read."""
+        """Take one grid sample of the angles; they are converted to counts when they are read."""
         self.ticks += 1
         row = self._row + 1
         if row == _ROWS:
@@ -130,19 +130,19 @@ class Sensing:
         self._history[row] = self._plant.joints()[0]
 
     def _count(self) -> None:
-        """Make counts of the angles in the history from `_raw_from` on, and of those now."""
+        """Convert the angles in the history from `_raw_from` on, and the present ones, to counts."""
         row, (angles, _, amps) = self._row, self._plant.joints()
         self._now[ANGLES], self._now[CURRENTS] = angles, amps
         show(self._now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
         self._raw_from = row + 1
 
     def measure(self) -> Ints:
-        """`counts` and `velocity` now, and Present Current in its counts: (3, 8), until the next call."""
+        """Return present encoder, velocity and current counts, (3, 8); valid until the next call."""
         self._count()
         return self._shown
 
     def counts(self, age_ns: int = 0) -> list[int]:
-        """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
+        """Return the present encoder counts, or those of the grid sample `age_ns` ago."""
         if not age_ns:
             self._count()
             return [int(n) for n in self._shown[SHOWN_COUNTS]]
@@ -150,7 +150,7 @@ class Sensing:
         return [int(n) for n in self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]]
 
     def velocity(self, age_ns: int = 0) -> list[int]:
-        """Present Velocity in its counts, truncated towards zero."""
+        """Return Present Velocity in its counts, truncated towards zero."""
         self._count()
         row = self._row - OLD - min(age_ns, HISTORY_NS) // GRID_NS
         newer, older = self._history[row % _ROWS], self._history[(row - SPAN) % _ROWS]
@@ -158,11 +158,11 @@ class Sensing:
         return [int((a - b) * gain) for a, b, gain in zip(newer, older, gains, strict=True)]
 
     def currents_a(self) -> Array:
-        """True motor currents (8,), A."""
+        """Return the true motor currents (8,), A."""
         return self._plant.joints()[2]
 
     def duty(self, voltage_v: float) -> Array:
-        """Duty cycle (8,) of the motors, -1..1, by the stall and no-load rows of the data sheet."""
+        """Return the motors' duty cycle (8,), -1..1, by the stall and no-load rows of the data sheet."""
         _, velocity, current = self._plant.joints()
         return np.clip(
             (current * self.resistance_ohm + velocity * self._back_emf_v_s_rad) / voltage_v, -1.0, 1.0

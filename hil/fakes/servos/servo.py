@@ -1,7 +1,7 @@
-"""One servo as its instructions see it: registers with their side effects, errors, restart, backup.
+"""One servo: registers with their side effects, errors, restart, backup.
 
-What the registers mean to the motor is in `axis`. The servo shows what the bus's `Sensing` measured, in
-its own counts, direction and turns.
+`motor_command.py` computes the motor's command from the registers. The servo converts the measurements of the
+bus's `Sensing` to its own counts, direction and turns.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ _BACKUP_FIRMWARE = 45
 
 
 class Servo:
-    """State of one servo without its bus.
+    """State of one servo, without its bus.
 
     Args:
         joint: index in the plant and in `hil.core.signals.SERVOS`.
-        plant: has the motor.
-        options: how it was left.
-        model: its control table and motor.
+        plant: contains the motor.
+        options: settings of the servo.
+        model: control table and motor.
 
     Attributes:
         joint: index in the plant and in `hil.core.signals.SERVOS`.
         table: the control table.
-        axis: the motor, and what it is asked for.
-        dead: without power.
-        busy_until_ns: starting up, deaf until then.
-        velocity: as last sensed, counts in the joint's direction.
-        temperature_limit, least_voltage, most_voltage: raw counts beyond which it raises an error.
+        axis: motor control.
+        dead: whether it has no power.
+        busy_until_ns: end of the boot time, before which it receives nothing.
+        velocity: last measured, counts in the joint's direction.
+        temperature_limit, least_voltage, most_voltage: limits in raw counts, beyond which it sets an error.
     """
 
     def __init__(self, joint: int, plant: Plant, options: ServoBusOptions, model: ServoModel) -> None:
@@ -73,7 +73,7 @@ class Servo:
 
     @property
     def torque(self) -> bool:
-        """Whether the motor is driven."""
+        """Whether torque is on."""
         return self.axis.torque
 
     @property
@@ -83,24 +83,24 @@ class Servo:
 
     @property
     def tripped(self) -> bool:
-        """Whether the bus watchdog has stopped it."""
+        """Whether the bus watchdog has stopped the motor."""
         return self.axis.tripped
 
     def answers_to(self, servo_id: int) -> bool:
-        """Whether an instruction packet to an ID is meant for this servo."""
+        """Return whether an instruction packet to this ID addresses the servo."""
         return servo_id in (self.id, protocol.BROADCAST) or (servo_id == self.secondary <= 252)
 
     def answers(self, level: int) -> bool:
-        """Whether it answers an instruction of this level: 0 ping, 1 read, 2 all others."""
+        """Return whether it answers an instruction of this level: 0 ping, 1 read, 2 all others."""
         return self.table.get("status_return_level") >= level
 
     @property
     def reads_fast(self) -> bool:
-        """Whether it takes part in a fast read."""
+        """Whether it takes part in fast reads."""
         return self.firmware >= self._model.fast_read_firmware and self.answers(level=1)
 
     def boot(self, t_ns: int, encoder: int) -> None:
-        """Power-up or reboot: RAM at defaults, one turn, errors cleared, deaf for a while."""
+        """Power up or reboot: reset RAM and errors, count within one turn, receive nothing until booted."""
         self.axis.position.encoder = encoder
         self.table.reset_ram()
         startup = self.table.get("startup_configuration")
@@ -117,24 +117,24 @@ class Servo:
             self._set_torque(True)
 
     def reboot(self, t_ns: int) -> None:
-        """Start over where it stands."""
+        """Reboot at the present position."""
         self.boot(t_ns, self.axis.position.encoder)
 
     def lose_power(self) -> None:
-        """No supply: the motor is free."""
+        """Handle a loss of supply: torque off."""
         self.dead = True
         self.axis.lose_power()
 
     def slip(self, counts: int) -> None:
-        """The encoder's magnet turns on its shaft."""
+        """Shift the encoder by a slip of its magnet on the shaft."""
         self.axis.position.slip(counts)
 
     def sense(self, encoder: int, velocity: int) -> None:
-        """Take what the encoder says (joint direction, counts from joint angle 0)."""
+        """Set the measured encoder counts (joint direction, from joint angle 0) and velocity."""
         self.axis.position.encoder, self.velocity = encoder, velocity
 
     def show(self, t_ns: int, velocity: int, current: int, duty: float, voltage: int, celsius: int) -> None:
-        """Put the live registers (realtime tick to temperature) into the table; `sense` has been called."""
+        """Update the live registers (realtime tick to temperature); call `sense` before."""
         axis, present = self.axis, self.present
         sign, trajectory = axis.position.sign, axis.trajectory
         tick = (t_ns - self.booted_ns) // 1_000_000 % 32768
@@ -158,19 +158,19 @@ class Servo:
         self.table.put_row(measured, measured.pack(*values))
 
     def motion(self, encoder: int, velocity: int, current: int) -> tuple[int, int, int]:
-        """Sense; what the registers that every cycle reads show: current, velocity and position.
+        """Set the measurements; return the registers read in every cycle: current, velocity and position.
 
         Args:
-            encoder: counts from joint angle 0, as the other two in the joint's direction.
-            velocity: in its counts.
-            current: in its counts.
+            encoder: counts from joint angle 0; all three are in the joint's direction.
+            velocity: velocity counts.
+            current: current counts.
         """
         self.sense(encoder, velocity)
         sign = self.axis.position.sign
         return sign * current, sign * velocity, self.present
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
-        """Write registers with all effects (`dry`: only check); the error number."""
+        """Write registers with all side effects (`dry`: check only); returns the error number."""
         try:
             plan = self.table.plan(address, len(data))
             values = [(r, r.decode(data[k : k + r.size])) for r, k in plan]
@@ -184,7 +184,7 @@ class Servo:
         return protocol.OK
 
     def register_write(self, address: int, data: bytes) -> int:
-        """Keep a write for the action that will follow; the error number."""
+        """Store a write for a later `act`; returns the error number."""
         error = self.write(address, data, dry=True)
         if error == protocol.OK:
             self._pending = (address, data)
@@ -192,7 +192,7 @@ class Servo:
         return error
 
     def act(self) -> int:
-        """Carry out the write that was kept; the error number."""
+        """Execute the stored write; returns the error number."""
         if self._pending is None:
             return protocol.INSTRUCTION_ERROR
         (address, data), self._pending = self._pending, None
@@ -200,16 +200,16 @@ class Servo:
         return self.write(address, data)
 
     def watchdog_ns(self) -> int:
-        """Silence that trips the bus watchdog, 0 when it is off."""
+        """Timeout of the bus watchdog, 0 while it is off."""
         return self._watchdog_ns if self.axis.torque and not self.axis.tripped else 0
 
     def trip(self) -> None:
-        """The bus has been silent for too long: stop, hold, and say so."""
+        """Handle a timeout of the bus watchdog: stop, hold, and set the register Bus Watchdog to -1."""
         self.table.put("bus_watchdog", -1)
         self.axis.trip()
 
     def raise_error(self, bits: int) -> None:
-        """Set bits of Hardware Error Status; drop torque where the Shutdown register says so."""
+        """Set bits of Hardware Error Status; switch torque off if the register Shutdown selects them."""
         self.table.put("hardware_error_status", self.table.get("hardware_error_status") | bits)
         self.alert = protocol.ALERT
         if bits & self.table.get("shutdown"):
@@ -217,7 +217,7 @@ class Servo:
             self._set_torque(False)
 
     def clear_turns(self) -> int:
-        """Forget the turns (instruction 0x10); the error number."""
+        """Reduce the position to one turn (instruction 0x10); returns the error number."""
         if self.axis.trajectory.ongoing or abs(self.velocity) > self._moving_threshold:
             return protocol.RESULT_FAIL
         self.axis.forget_turns()
@@ -225,7 +225,7 @@ class Servo:
         return protocol.OK
 
     def back_up(self, parameters: bytes) -> int:
-        """Control table backup (0x20): keep or restore; the error number. A restore needs a reboot after."""
+        """Store or check a backup (0x20); returns the error number. `restore` does the restoring."""
         if self.firmware < _BACKUP_FIRMWARE:
             return protocol.INSTRUCTION_ERROR
         if parameters not in (b"\x01CTRL", b"\x02CTRL"):
@@ -238,7 +238,7 @@ class Servo:
         return protocol.OK
 
     def restore(self, t_ns: int) -> None:
-        """Second half of a restore: values back, then a reboot that keeps the RAM ones."""
+        """Complete a restore: write the registers back, reboot, and write those in RAM again."""
         backup = dict(self._backup or {})
         self.table.restore(backup, eeprom=True)
         self.boot(t_ns, self.axis.position.encoder)
@@ -246,7 +246,7 @@ class Servo:
         self._load()
 
     def factory_reset(self, level: int, t_ns: int) -> None:
-        """Instruction 0x06: 0xFF everything, 1 keeps the ID, 2 keeps ID and baud rate."""
+        """Factory reset (0x06): 0xFF everything, 1 keeps the ID, 2 keeps ID and baud rate."""
         kept = {"model_number": 0, "firmware_version": 0}
         kept |= {"id": 0} if level in (1, 2) else {}
         kept |= {"baud_rate": 0} if level == 2 else {}
@@ -309,7 +309,7 @@ class Servo:
             self.axis.position.wrap()
 
     def _load(self) -> None:
-        """Keep at hand what is looked at often."""
+        """Cache registers that are used often."""
         table = self.table
         self.firmware = table.get("firmware_version")
         self.id, self.secondary = table.get("id"), table.get("secondary_id")

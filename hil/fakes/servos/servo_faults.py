@@ -1,4 +1,4 @@
-"""Faults of emulated servos that arise in the servo itself; the serial line adds those of the wire.
+"""Faults inside emulated servos; the serial line adds those of the wire.
 
 Names: the bus (`servos`), a servo by joint (`servo.drive_FL`) or by ID (`servo.3`).
 """
@@ -37,15 +37,15 @@ Measured = tuple[int, int, int]
 
 
 class ServoFaults:
-    """Asks the plan what is wrong with each joint's servo now.
+    """Queries the plan for faults of each joint's servo.
 
-    Options: `wrong,share=` of what its servo measures is what a wheel turns by (its hub slips), else
-    `wrong,angle_rad=`; `wrong` and `jump,angle_rad=` (once), `slow,answer_s=` answers late,
-    `delayed,delay_s=` shows old measurements, `intermittent,period_s=,duty=` is silent for that part of
-    each period, `drop` and `corrupt` per reply with `probability=`.
+    Options: `wrong,share=` is the share of the servo's measured rotation that the wheel turns (its hub
+    slips), else `wrong,angle_rad=`; `jump,angle_rad=` (once); `slow,answer_s=` answers late;
+    `delayed,delay_s=` shows old measurements; `intermittent,period_s=,duty=` is silent for that part of each
+    period; `drop` and `corrupt` per reply with `probability=`.
 
     Attributes:
-        plan: what concerns bus and servos; a caller in every step reads `plan.empty`, which is `none`.
+        plan: view of the faults of bus and servos. `plan.empty` equals `none` and is cheaper to read.
     """
 
     def __init__(
@@ -72,13 +72,13 @@ class ServoFaults:
         return self.plan.empty
 
     def acting(self, t_ns: int) -> bool:
-        """Whether any fault of bus or servos acts now."""
+        """Return whether any fault of bus or servos is active."""
         return self.plan.acting(t_ns)
 
     def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
-        """The active fault of that kind on a servo under any of its names.
+        """Return the active fault of this kind on a servo under any of its names, or None.
 
-        `drop` and `corrupt` of the whole bus are the line's affair.
+        The serial line handles `drop` and `corrupt` of the whole bus.
         """
         if not self.plan.has(kind):
             return None
@@ -90,30 +90,30 @@ class ServoFaults:
         return None
 
     def unpowered(self, joint: int, t_ns: int) -> bool:
-        """Whether the servo has no supply."""
+        """Return whether the servo has no supply."""
         return self.find(joint, "off", t_ns) is not None or self.find(joint, "brownout", t_ns) is not None
 
     def due_once(self, joint: int, kind: str, t_ns: int) -> Fault | None:
-        """A fault that acts once (`reset`, `jump`) and has not acted yet."""
+        """Return an active one-time fault (`reset`, `jump`) at its first query, else None."""
         return self._once.news((joint, kind), self.find(joint, kind, t_ns))
 
     def jump_counts(self, joint: int, t_ns: int) -> int:
-        """A slip of the encoder that is due now."""
+        """Slip of the encoder by a `jump` fault at its first query, counts; else 0."""
         fault = self.due_once(joint, "jump", t_ns)
         return 0 if fault is None else self._counts(joint, fault.option("angle_rad", _JUMP_RAD))
 
     def share(self, joint: int, t_ns: int) -> float:
-        """How far the joint turns for each radian that its motor does: less than 1 where its hub slips."""
+        """Joint angle per motor angle: less than 1 while the hub slips."""
         fault = self.find(joint, "wrong", t_ns)
         return 1.0 if fault is None else fault.option("share", 1.0)
 
     def slid_counts(self, joint: int, share: float, counts: int) -> int:
-        """By how much the motor has turned further than its joint since the last call.
+        """Counts by which the motor has turned further than its joint since the last call.
 
         Args:
             joint: index.
-            share: as `share` says.
-            counts: of the joint, now.
+            share: result of `share`.
+            counts: present counts of the joint.
         """
         before, rest = self._slid.get(joint, (counts, 0.0))
         rest += (1.0 / share - 1.0) * (counts - before)
@@ -124,12 +124,12 @@ class ServoFaults:
         return round(angle_rad / self._models[joint].rad_per_count)
 
     def age_ns(self, joint: int, t_ns: int) -> int:
-        """How old the measurements are that the servo shows."""
+        """Age of the shown measurements under a `delayed` fault."""
         fault = self.find(joint, "delayed", t_ns)
         return 0 if fault is None else fault.delay_ns()
 
     def measured(self, joint: int, t_ns: int, truth: Measured) -> Measured:
-        """(position, velocity, current) counts as the servo believes them."""
+        """Apply `stuck` and `wrong` faults to the measured (position, velocity, current) counts."""
         if self.find(joint, "stuck", t_ns) is not None:
             return self._frozen.setdefault(joint, truth)
         self._frozen.pop(joint, None)
@@ -142,12 +142,12 @@ class ServoFaults:
         return (truth[0] + extra, truth[1], truth[2])
 
     def late_ns(self, joint: int, t_ns: int) -> int:
-        """Extra time before an answer."""
+        """Extra latency of a reply under a `slow` fault."""
         fault = self.find(joint, "slow", t_ns)
         return 0 if fault is None else nanoseconds(fault.option("answer_s", _SLOW_S))
 
     def silent(self, joint: int, t_ns: int) -> bool:
-        """Whether this reply is not given."""
+        """Return whether this reply is suppressed."""
         fault = self.find(joint, "intermittent", t_ns)
         if fault is not None and fault.interrupts(t_ns):
             return True
@@ -155,7 +155,7 @@ class ServoFaults:
         return fault is not None and fault.strikes(self._rng)
 
     def spoil(self, joint: int, reply: bytes, t_ns: int) -> bytes:
-        """The reply as it leaves the servo."""
+        """Apply `garbage` and `corrupt` faults to a reply."""
         if self.find(joint, "garbage", t_ns) is not None:
             return self._rng.bytes(len(reply))
         fault = self.find(joint, "corrupt", t_ns)

@@ -1,4 +1,4 @@
-"""Instructions to one servo (or to all of them alike): what each does, and the error it is answered with."""
+"""Instructions to one servo (or broadcast): effect, reply and error number."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from hil.fakes.servos.sensed_registers import LiveRegisters
 from hil.fakes.servos.servo import Servo
 
 Answer = tuple[int, bytes]
-"""Error number and parameters of a status."""
+"""Error number and parameters of a status packet."""
 
 _IGNORES_TOTAL_RESET_FIRMWARE = 42
 _CLEAR_TURNS = b"\x01DXL\x22"
 
 
 class SingleInstructions:
-    """Carries out everything but group instructions.
+    """Executes all instructions except group instructions.
 
     Args:
-        live: brings measurements up to date before they matter.
+        live: updates the measurements before they are used.
     """
 
     def __init__(self, live: LiveRegisters) -> None:
@@ -39,12 +39,12 @@ class SingleInstructions:
         }
 
     def obey(self, servo: Servo, instruction: Instruction, t_ns: int) -> Answer | None:
-        """Carry out an instruction; None where it is passed over without an answer."""
+        """Execute an instruction; None if it is ignored without a reply."""
         act = self._known.get(instruction.code)
         return (protocol.INSTRUCTION_ERROR, b"") if act is None else act(servo, instruction, t_ns)
 
     def finish(self, servo: Servo, instruction: Instruction, error: int, t_ns: int) -> None:
-        """What happens once the answer has been given."""
+        """Complete an instruction after its reply: reboot, factory reset or restore."""
         if error != protocol.OK:
             return
         if instruction.code == protocol.REBOOT:
@@ -56,7 +56,7 @@ class SingleInstructions:
             servo.restore(t_ns)
 
     def read_range(self, servo: Servo, address: int, length: int, t_ns: int) -> Answer:
-        """Registers of a range as they are now."""
+        """Return the present registers of a range."""
         self._live.refresh(servo, address, length, t_ns)
         data = servo.table.read(address, length)
         return (protocol.ACCESS, b"") if data is None else (protocol.OK, data)
@@ -101,5 +101,5 @@ class SingleInstructions:
 
 
 def identification(servo: Servo) -> bytes:
-    """What a ping is answered with: model number and firmware."""
+    """Return the parameters of a ping's reply: model number and firmware."""
     return servo.table.get("model_number").to_bytes(2, "little") + bytes((servo.firmware,))

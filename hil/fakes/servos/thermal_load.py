@@ -1,4 +1,4 @@
-"""Effects of load on the servos: heat, voltage drop, overload, and the hardware errors that follow."""
+"""Effects of load on the servos: temperature, voltage drop, overload, and the resulting hardware errors."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class ThermalModel:
     """Supply and temperatures of eight servos.
 
     Args:
-        sensing: gives the motor currents.
+        sensing: source of the motor currents.
         options: supply, air temperature, overload limits.
-        models: of the eight servos.
+        models: models of the eight servos.
 
     Attributes:
-        volts: at the servos' plugs.
-        celsius: (8,) of the motors.
+        volts: supply voltage at the servos.
+        celsius: (8,) motor temperatures.
     """
 
     def __init__(self, sensing: Sensing, options: ServoBusOptions, models: tuple[ServoModel, ...]) -> None:
@@ -37,7 +37,7 @@ class ThermalModel:
         self._overloaded_s = np.zeros(8)
 
     def step(self, servos: Iterable[Servo], dt_s: float) -> None:
-        """Let `dt_s` pass, and raise errors in servos that have had enough."""
+        """Advance by `dt_s`, and set hardware errors of servos beyond their limits."""
         options = self._options
         current = np.abs(self._sensing.currents_a())
         self.volts = self._pack_v - options.supply_ohm * float(current.sum())

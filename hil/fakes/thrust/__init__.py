@@ -1,4 +1,4 @@
-"""The emulated propellers: a Teensy that turns lines into pulses, controllers, motors."""
+"""The emulated propellers: a Teensy that converts lines to pulses, speed controllers, motors."""
 
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.thrust.teensy_chip import THRUST_FAULTS, TeensyChip

@@ -1,8 +1,8 @@
-"""The Teensy that drives the propellers' controllers: lines `THR<0..180>` in, pulses out, no reply.
+"""The Teensy that drives the propellers' speed controllers: lines `THR<0..180>` in, pulses out, no reply.
 
-The number is on the scale of a servo library: 0 is a pulse of 1000 us, 180 of 2000 us. After an error (a line
-that is none, a number out of range) it takes the throttle down one step every 100 ms, until it understands
-a line again. Without lines it goes on with the last throttle.
+The number is in steps of a servo library: 0 is a pulse of 1000 us, 180 of 2000 us. After an error (an invalid
+line or a number out of range) it reduces the throttle by one step every 100 ms until the next valid line.
+Without lines it keeps the last throttle.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ _LINE = re.compile(rb"THR(\d{1,3})\r?")
 _MOST_BYTES = 64
 _STEP_DOWN_NS = 100_000_000
 _TICK_NS, _AWAKE_NS, _QUICK_NS = 500_000_000, 20_000_000, 5_000_000
-"""While nothing changes; while a fault may begin at any time; while the force changes."""
+"""While nothing changes; while a fault may begin; while the force changes."""
 _WRONG, _DELAY_S = 0.5, 0.3
 _SETTLED = 1e-3
 
 
 class TeensyChip(SerialChip):
-    """Firmware, controllers and propellers.
+    """Firmware, speed controllers and propellers.
 
     Args:
         world: plant, seed and faults.
         config: of the propellers.
-        options: truth.
-        name: of its faults.
+        options: true imperfections.
+        name: device name of its faults.
 
     Attributes:
-        step: throttle that goes to the controllers, 0..180.
-        force_n: of all propellers.
+        step: present throttle of the controllers, 0..180.
+        force_n: force of all propellers.
     """
 
     Options = ThrustTruthOptions
@@ -63,7 +63,7 @@ class TeensyChip(SerialChip):
 
     @classmethod
     def build(cls, request: EmulationRequest) -> TeensyChip:
-        """The firmware of a table of the bench file."""
+        """Make the firmware from its table of the bench file."""
         return cls(request.world, request.config, request.options(cls.Options))
 
     def __init__(
@@ -83,7 +83,7 @@ class TeensyChip(SerialChip):
         self.begin("tethered" if options.start == "by use" else options.start)
 
     def begin(self, start: Start) -> None:
-        """How the robot hangs when the world begins."""
+        """Set how the robot is held when the world starts."""
         self._tether = Tether(start, self._point.thrust_n)
         if start == "running":
             nominal_n = self._point.thrust_n / self._point.propeller_gain
@@ -92,12 +92,12 @@ class TeensyChip(SerialChip):
         self._push()
 
     def begin_in_use(self) -> None:
-        """The bench in this process has set the throttle before, unless the options say otherwise."""
+        """Start with a throttle that is already set, unless the options say otherwise."""
         if self._options.start == "by use":
             self.begin("running")
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Lines; at another baud rate they are noise."""
+        """Parse lines; at another baud rate they are invalid."""
         self._advance(t_ns)
         fault = self._faults.find("intermittent", t_ns)
         if self._dead or (fault is not None and fault.interrupts(t_ns)):
@@ -115,13 +115,13 @@ class TeensyChip(SerialChip):
         return []
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled: no pulses until the next line."""
+        """Power was cycled: no pulses until the next valid line."""
         self._line.clear()
         self._waiting.clear()
         self.step, self._failed = 0, False
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """Physics, and the way down after an error."""
+        """Step the physics, and reduce the throttle after an error."""
         self._advance(t_ns)
         while self._waiting and self._waiting[0][0] <= t_ns:
             self.step = self._waiting.pop(0)[1]
@@ -135,7 +135,7 @@ class TeensyChip(SerialChip):
         return []
 
     def next_poll_ns(self) -> int:
-        """The next step of the physics."""
+        """Time of the next physics step."""
         return self._tick_ns
 
     def _take(self, line: bytes, t_ns: int) -> None:
@@ -172,7 +172,7 @@ class TeensyChip(SerialChip):
             self.step = min(max(self.step + round(fault.option("steps", -20)), 0), STEPS)
 
     def _aim_n(self, t_ns: int) -> float:
-        """Force that belongs to the throttle."""
+        """Steady-state force at the present throttle."""
         wrong = self._faults.find("wrong", t_ns)
         factor = 1.0 if wrong is None else wrong.option("factor", _WRONG)
         return factor * self._point.propeller_gain * self._config.force_at_n(self.step / STEPS)

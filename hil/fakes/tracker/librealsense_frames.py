@@ -1,4 +1,4 @@
-"""Librealsense's frame, device and pipeline as the emulated camera fills them in."""
+"""Frame, device and pipeline of librealsense, as provided by the emulated camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MODEL = "Intel RealSense T265"
 
 
 class PoseData(NamedTuple):
-    """As `rs.pose`: camera axes, world given by gravity and the first view."""
+    """Like `rs.pose`: camera axes; the world is defined by gravity and the first view."""
 
     translation: Vector
     velocity: Vector
@@ -23,7 +23,7 @@ class PoseData(NamedTuple):
 
 
 class PoseFrame(NamedTuple):
-    """One pose with its number and time stamp, as `rs.frame` and `rs.pose_frame` in one."""
+    """One pose with its number and time stamp: `rs.frame` and `rs.pose_frame` in one."""
 
     number: int
     timestamp_ms: float
@@ -35,15 +35,15 @@ class PoseFrame(NamedTuple):
         return True
 
     def as_pose_frame(self) -> PoseFrame:
-        """This object itself, as in the library."""
+        """Return this object, as in the library."""
         return self
 
     def get_timestamp(self) -> float:
-        """Milliseconds of the library's global time."""
+        """Time stamp in milliseconds of the library's global time."""
         return self.timestamp_ms
 
     def get_frame_number(self) -> int:
-        """Counts from the start of the stream."""
+        """Frame number from the start of the stream."""
         return self.number
 
     def get_pose_data(self) -> PoseData:
@@ -55,7 +55,7 @@ FrameCallback = Callable[[PoseFrame], None]
 
 
 class Camera(Protocol):
-    """What a pipeline needs of the camera behind it."""
+    """Interface of a camera for its pipelines."""
 
     serial: str
     model: str
@@ -68,14 +68,14 @@ class Camera(Protocol):
         """World time, ns."""
 
     def start_stream(self, callback: FrameCallback) -> None:
-        """Begin to deliver poses; raises `RuntimeError` as the library does."""
+        """Start delivering poses; raises `RuntimeError` as the library does."""
 
     def stop_stream(self, callback: FrameCallback) -> None:
-        """Deliver no more to this callback."""
+        """Stop delivering poses to this callback."""
 
 
 class DeviceInfo:
-    """Device and profile in one: knows its name, serial number and firmware."""
+    """Device and profile in one: name, serial number and firmware."""
 
     def __init__(self, camera: Camera) -> None:
         self._info = {
@@ -85,11 +85,11 @@ class DeviceInfo:
         }
 
     def get_device(self) -> DeviceInfo:
-        """This object itself, as in the library."""
+        """Return this object, as in the library."""
         return self
 
     def supports(self, key: str) -> bool:
-        """Whether this is known."""
+        """Return whether this information is available."""
         return key in self._info
 
     def get_info(self, key: str) -> str:
@@ -98,60 +98,60 @@ class DeviceInfo:
 
 
 class WorldSensor:
-    """The camera's settings and wheel odometer, as `rs.sensor` and `rs.wheel_odometer` in one."""
+    """Settings and wheel odometer of the camera: `rs.sensor` and `rs.wheel_odometer` in one."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
 
     def get_device(self) -> WorldSensor:
-        """Itself: profile, device and sensor in one."""
+        """Return this object: profile, device and sensor in one."""
         return self
 
     def query_sensors(self) -> list[WorldSensor]:
-        """This object itself, as in the library."""
+        """Return this object in a list, as in the library."""
         return [self]
 
     def supports(self, option: str) -> bool:
-        """Whether the camera has such a setting."""
+        """Return whether the camera has this setting."""
         return option in self._camera.settings
 
     def set_option(self, option: str, value: float) -> None:
-        """Raises `RuntimeError` as the library does for an option that the camera does not have."""
+        """Set an option; raises `RuntimeError` as the library does for an unknown one."""
         if option not in self._camera.settings:
             raise RuntimeError("object doesn't support option")
         self._camera.settings[option] = value
 
     def get_option(self, option: str) -> float:
-        """As it is set."""
+        """Return the value of an option."""
         return self._camera.settings[option]
 
     def as_wheel_odometer(self) -> WorldSensor:
-        """This object itself, as in the library."""
+        """Return this object, as in the library."""
         return self
 
     def load_wheel_odometery_config(self, calibration: list[int]) -> bool:
-        """Whether it was a calibration."""
+        """Load a calibration; returns whether it is valid."""
         return self._camera.wheels.load(bytes(calibration))
 
     def send_wheel_odometry(self, sensor: int, number: int, velocity: Any) -> bool:
-        """Whether the velocity could be one."""
+        """Send a velocity; returns whether it is valid."""
         v = velocity.x, velocity.y, velocity.z
         return self._camera.wheels.send(sensor, number, v, self._camera.now_ns)
 
 
 class WorldPipeline:
-    """Stands in for `pyrealsense2.pipeline`: poses reach the callback as world time passes."""
+    """Replaces `pyrealsense2.pipeline`: poses reach the callback as world time passes."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
         self._callback: FrameCallback | None = None
 
     def resolve(self) -> WorldSensor:
-        """The sensor that takes options before the stream starts."""
+        """Return the sensor, for setting options before the stream starts."""
         return WorldSensor(self._camera)
 
     def start(self, config: Any, callback: FrameCallback) -> DeviceInfo:
-        """Begin to stream; raises `RuntimeError` as the library does when no camera fits."""
+        """Start streaming; raises `RuntimeError` as the library does if no camera matches."""
         if self._callback is not None:
             raise RuntimeError("start() cannot be called before stop()")
         if config.serial not in (None, self._camera.serial):
@@ -161,7 +161,7 @@ class WorldPipeline:
         return DeviceInfo(self._camera)
 
     def stop(self) -> None:
-        """End the stream; raises `RuntimeError` as the library does when there is none."""
+        """Stop streaming; raises `RuntimeError` as the library does if it has not started."""
         if self._callback is None:
             raise RuntimeError("stop() cannot be called before start()")
         self._camera.stop_stream(self._callback)

@@ -1,6 +1,6 @@
 """Streams the emulated camera's poses over loopback UDP to any client that subscribes.
 
-The datagrams are laid out in `hil.core.t265_datagrams`; the driver's `FeedPipeline` is one client.
+`hil.core.t265_datagrams` defines the datagrams; the driver's `FeedPipeline` is one of the clients.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class TrackerTransport(DatagramTransport):
         host, port: where to listen; port 0 takes a free one.
 
     Attributes:
-        strange: datagrams of another layout.
+        strange: number of datagrams with another layout.
 
     Raises:
         DeviceError: the port cannot be used.
@@ -64,7 +64,7 @@ class TrackerTransport(DatagramTransport):
             ) from None
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one request: subscribe (answered with the camera's identity) or leave."""
+        """Handle one request: subscribe (answered with the identity), leave, settings or wheel velocity."""
         taken = self.receive(_LARGEST)
         if taken is None:
             return
@@ -80,7 +80,7 @@ class TrackerTransport(DatagramTransport):
             self.strange += 1
 
     def _set(self, data: bytes) -> bool:
-        """Take settings as JSON; whether they were settings."""
+        """Apply settings given as JSON; returns whether they are valid."""
         try:
             given = json.loads(data)
             options = {str(key): float(value) for key, value in given["options"].items()}
@@ -93,7 +93,7 @@ class TrackerTransport(DatagramTransport):
         return wheels is None or self._camera.wheels.load(json.dumps(wheels).encode())
 
     def endpoint(self) -> dict[str, object]:
-        """Address of the feed."""
+        """Address and serial number of the camera."""
         return {"host": self.host, "port": self.port, "serial": self._camera.serial}
 
     def close(self) -> None:
@@ -134,7 +134,7 @@ class TrackerTransport(DatagramTransport):
                 self.transmit(record, client)
 
     def _forget(self, client: tuple[str, int]) -> None:
-        """A camera without clients rests."""
+        """Remove a client; without clients the camera stops."""
         self._clients.pop(client, None)
         if not self._clients:
             self._camera.stop_stream(self._pass_on)

@@ -1,7 +1,7 @@
-"""The emulated T265: 200 Hz poses of visual odometry that errs, late, with confidence and faults.
+"""The emulated T265: 200 Hz poses of visual odometry with errors, latency, confidence and faults.
 
-It stands in for the camera and librealsense together: `pipeline()` has the shape of the library's
-pipeline object. Tracking starts when the stream does.
+It replaces camera and librealsense together: `pipeline()` returns an object with the interface of the
+library's pipeline. Tracking starts with the stream.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ _NS_PER_MS = 1e6
 _FIRST_NUMBER = 1
 _JUMPS, _PRESERVATION = "enable_pose_jumping", "enable_map_preservation"
 SETTINGS = ("enable_mapping", "enable_relocalization", _JUMPS, _PRESERVATION)
-"""Options of the camera's map, by librealsense's names; all on when it is plugged in."""
+"""Options of the camera's map, by librealsense's names; all on after power-up."""
 
 
 class T265(Scheduled):
-    """A scheduled part of the world.
+    """Emulated T265 tracking camera.
 
     Args:
-        world: truth, seed and faults; the camera registers itself.
-        name: device name, also of its faults.
+        world: truth, seed and faults; the camera registers itself there.
+        name: device name of its faults.
         options: true imperfections.
-        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body, unless the options say
-            where it truly is.
-        model: name that the device gives itself.
+        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body, unless the options give the
+            true mount.
+        model: device name that it reports.
     """
 
     Options = TrackerTruthOptions
@@ -47,7 +47,7 @@ class T265(Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest) -> T265:
-        """The camera of a table of the bench file, where the bench believes it to be."""
+        """Make the camera, at the bench's mount, from its table of the bench file."""
         config = request.config
         return cls(
             request.world,
@@ -93,14 +93,14 @@ class T265(Scheduled):
         world.add(self)
 
     def pipeline(self) -> WorldPipeline:
-        """An object that stands in for `pyrealsense2.pipeline`; several may stream at once."""
+        """Return a replacement of `pyrealsense2.pipeline`; several may stream at once."""
         return WorldPipeline(self)
 
     def start_stream(self, callback: FrameCallback) -> None:
-        """Begin to deliver poses to a callback; the first one starts the tracking.
+        """Start delivering poses to a callback; the first one starts the tracking.
 
         Raises:
-            RuntimeError: no camera is plugged in, as the library says it.
+            RuntimeError: no camera is plugged in; the message is that of the library.
         """
         if self._faults.find("unplug", self._world.now_ns) is not None:
             raise RuntimeError("No device connected")
@@ -109,13 +109,13 @@ class T265(Scheduled):
         self._callbacks.append(callback)
 
     def stop_stream(self, callback: FrameCallback) -> None:
-        """Deliver no more to this callback; without any the camera rests."""
+        """Stop delivering poses to this callback; without callbacks the camera stops."""
         self._callbacks = [c for c in self._callbacks if c != callback]
         if not self._callbacks:
             self._rest()
 
     def streams_to(self, callback: FrameCallback) -> bool:
-        """Whether this callback still gets poses (an unplugged camera has lost its streams)."""
+        """Return whether this callback still gets poses; an unplugged camera loses its streams."""
         return callback in self._callbacks
 
     @property
@@ -131,7 +131,7 @@ class T265(Scheduled):
         return self._exposure_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Deliver what has arrived, then expose."""
+        """Deliver the poses that have arrived, then expose."""
         if not self._faults.plan.empty and self._unplugged(t_ns):
             return
         while self._travelling and self._travelling[0][0] <= t_ns:
@@ -142,7 +142,7 @@ class T265(Scheduled):
             self._expose(t_ns)
 
     def _unplugged(self, t_ns: int) -> bool:
-        """An unplugged camera loses its streams; only starting them again brings it back."""
+        """Stop all streams while unplugged; they must be started again afterwards."""
         if self._faults.find("unplug", t_ns) is None:
             return False
         self._callbacks = []
@@ -195,7 +195,7 @@ class T265(Scheduled):
             self._travelling.append((self._arrived_ns, one))
 
     def _by_wheels(self, body: BodyMotion, t_ns: int) -> tuple[Array, float] | None:
-        """Velocity in the camera's axes as the wheels tell it, and its weight; None where they do not."""
+        """Velocity by the wheels in the camera's axes, and its weight; None without recent wheel data."""
         return self.wheels.velocity(t_ns, self.odometry.rate_rad_s(body.omega_rad_s))
 
     def _relocalise(self, t_ns: int, dt_s: float) -> None:
@@ -207,7 +207,7 @@ class T265(Scheduled):
             self.odometry.jump(distance_m)
 
     def _confidence(self, body: BodyMotion, t_ns: int) -> int:
-        """Low while the map is young and after fast motion."""
+        """Tracking confidence 0..3: low while the map is new and after fast motion."""
         vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self._options
         if abs(omega) > options.fast_rad_s or vx * vx + vy * vy > self._fast_m2_s2:

@@ -34,7 +34,7 @@ _NOT_A_POSE = CameraPose(_NO_VECTOR, _NO_VECTOR, Quaternion(_NAN, _NAN, _NAN, _N
 
 
 class TrackerFaults(DeviceFaults):
-    """What is wrong with the camera.
+    """Faults of the camera.
 
     Options: `wrong,scale=` on every step, `wrong,drift_x_m_s=,drift_y_m_s=` along the wall's axes, or
     `wrong,confidence=`; `jump,distance_m=` once;
@@ -49,27 +49,27 @@ class TrackerFaults(DeviceFaults):
         plan.declare(name, SUPPORTED_FAULTS)
 
     def silent(self, t_ns: int) -> bool:
-        """Whether no pose is made now."""
+        """Return whether no pose is sent now."""
         if self._off:
             return True
         fault = self.find("intermittent", t_ns)
         return fault is not None and fault.interrupts(t_ns)
 
     def jump_m(self, t_ns: int) -> float:
-        """Distance of a jump that is due, once per fault."""
+        """Distance of a `jump` fault at its first query; else 0."""
         fault = self.news("jump", t_ns)
         return 0.0 if fault is None else fault.option("distance_m", _JUMP_M)
 
     def scale(self, t_ns: int) -> float:
-        """Factor on the steps seen."""
+        """Return the factor of a `wrong` fault on the measured motion."""
         return seen_scale(self.find("wrong", t_ns))
 
     def drift_m(self, t_ns: int, dt_s: float) -> tuple[float, float]:
-        """Way in the wall's axes that is seen in a step and was not gone."""
+        """Return the additional motion that a `wrong` fault adds to a step, in the wall's axes."""
         return seen_drift_m(self.find("wrong", t_ns), dt_s)
 
     def spoil(self, frame: PoseFrame, t_ns: int) -> tuple[PoseFrame, ...]:
-        """The frame as it arrives: not at all, once or twice."""
+        """Return the frames received for one sent: none, intact or altered, once or twice."""
         if self._hit("drop", t_ns):
             return ()
         if self.find("stuck", t_ns) is None:
@@ -99,14 +99,14 @@ class TrackerFaults(DeviceFaults):
 
 
 def seen_scale(fault: Fault | None) -> float:
-    """Factor of a `wrong` fault on the steps seen; 1 where it is wrong in something else."""
+    """Factor of a `wrong` fault on the measured motion; 1 if the fault concerns something else."""
     if fault is None or ("scale" not in fault.options and fault.options):
         return 1.0
     return fault.option("scale", _WRONG_SCALE)
 
 
 def seen_drift_m(fault: Fault | None, dt_s: float) -> tuple[float, float]:
-    """Way of a `wrong` fault that is seen in a step and was not gone."""
+    """Additional motion that a `wrong` fault adds to a step, in the wall's axes."""
     if fault is None:
         return 0.0, 0.0
     x_m_s, y_m_s = (fault.option(name, 0.0) for name in _DRIFTS)

@@ -1,12 +1,11 @@
-"""Visual odometry of the emulated camera: true body poses in, erring camera poses out.
+"""Visual odometry of the emulated camera: true body poses in, measured camera poses out.
 
-The pose is kept in a levelled world (x where the camera looked at the start, z against gravity) and given
-out in the T265's axes, where that world is x right, y up, z back. On a wall gravity lies in the motion
-plane, so the drift about gravity tilts the path out of the wall.
+The pose is kept in a levelled world (x where the camera looked at the start, z against gravity) and returned
+in the T265's axes, where that world is x right, y up, z back. On a wall, gravity lies in the motion plane, so
+the drift about gravity tilts the path out of the wall.
 
-One step works on flat vectors. What the camera's way is comes by name; other numbers stand in three vectors
-in SI units at the places named below: what errs, the levelled world as `VisualOdometry` has fixed it, and
-the state.
+One step works on flat vectors. The motion of the camera has named fields; other numbers are in three vectors
+in SI units at the indices named below: error parameters, the levelled world, and the state.
 """
 
 from __future__ import annotations
@@ -28,20 +27,20 @@ from hil.fakes.body_interface import BodyMotion
 from hil.fakes.tracker.camera_truth import TrackerTruthOptions
 from hil.support.numba_jit import compile_for, inner, kernel, plain
 
-# What errs (7,): stated here, filled in this order by `VisualOdometry.__init__` from the truth options.
+# Error parameters (7,), filled in this order by `VisualOdometry.__init__` from the truth options.
 (YAW_RATE, YAW_WALK, POSITION_WALK, POSITION_NOISE, VELOCITY_NOISE, RATE_NOISE, ANGLE_NOISE) = range(7)
 
-# The levelled world (17,): the wall's axes in it, and the parts of the camera's rotation (w, x, y, z) that go
-# with cosine and sine of half the body's heading. Filled by `VisualOdometry._start`, as is the state.
+# The levelled world (17,): the wall's axes in it, and the parts of the camera's rotation (w, x, y, z) to be
+# multiplied by cosine and sine of half the body's heading. `VisualOdometry._start` fills it and the state.
 ALONG_X, ALONG_Y, ALONG_Z, COSINE_PART, SINE_PART = 0, 3, 6, 9, 13
 WORLD_SIZE = 17
 
-# State (6,): position in the levelled world, place in the wall that was seen last, heading error.
+# State (6,): position in the levelled world, last seen position in the wall frame, heading error.
 POSITION, LAST_X, LAST_Y, YAW = 0, 3, 4, 5
 STATE_SIZE = 6
 
 DRAWS = 16
-"""Numbers of one row of noise."""
+"""Random numbers per pose."""
 
 Pose = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
 _BLOCK = 512
@@ -49,17 +48,17 @@ _NEAR_VERTICAL = 0.2
 
 
 class Way(NamedTuple):
-    """How the camera moves, in the wall's axes.
+    """Motion of the camera since the last pose, in the wall's axes.
 
     Attributes:
         theta, omega: true heading of the body, and its rate.
-        x, y: place of the camera.
-        along, left: its velocity along wall x and y.
-        speed: the length of both.
-        dt: since the last pose.
-        scale: factor on what is seen.
+        x, y: position of the camera.
+        along, left: velocity of the camera along wall x and y.
+        speed: magnitude of that velocity.
+        dt: time since the last pose.
+        scale: factor on the measured motion.
         wheel_x, wheel_y: step by wheel odometry.
-        weight: of these, 0 for none.
+        weight: weight of the wheel odometry, 0 for none.
     """
 
     theta: float = 0.0
@@ -78,18 +77,17 @@ class Way(NamedTuple):
 
 @kernel
 def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: Array) -> Pose:
-    """Move as the odometry sees it, and return the pose that it reports.
+    """Advance the odometry by one step and return the pose that it reports.
 
-    The step is scaled, turned by the heading error and walks; wheel odometry pulls it towards
-    itself.
+    The step is scaled, rotated by the heading error, and gets a random walk; wheel odometry corrects it.
 
     Args:
-        way: of the camera since the last pose; its numbers in a plain tuple will do.
-        draws: noise, standard normal (n, 16).
-        row: of the noise, that is this pose's.
-        errors: (7,).
-        world: (17,).
-        state: (6,), which it changes.
+        way: motion of the camera since the last pose, as a `Way` or a plain tuple.
+        draws: standard normal noise (n, 16).
+        row: row of `draws` to use.
+        errors: (7,) error parameters.
+        world: (17,) levelled world.
+        state: (6,) state; updated.
 
     Returns:
         position (3,), velocity (3,), rotation x y z w, angular velocity (3,) in the T265's axes.
@@ -135,7 +133,7 @@ def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: A
 def rotation(
     theta: float, yaw: float, noise: Array, errors: Array, world: Array
 ) -> tuple[float, float, float, float]:
-    """Camera in the levelled world (x, y, z, w): heading error and noise on the left."""
+    """Camera rotation in the levelled world (x, y, z, w); heading error and noise multiply from the left."""
     c, s = math.cos(0.5 * theta), math.sin(0.5 * theta)
     bw = c * world[COSINE_PART] + s * world[SINE_PART]
     bx = c * world[COSINE_PART + 1] + s * world[SINE_PART + 1]
@@ -180,17 +178,17 @@ class CameraPose(NamedTuple):
 
 
 def camera_axes(x: float, y: float, z: float) -> Vector:
-    """A vector in robot axes (forward, left, up) in the camera's axes (right, up, back)."""
+    """Convert a vector from robot axes (forward, left, up) to the camera's axes (right, up, back)."""
     return Vector(-y, z, -x)
 
 
 class VisualOdometry:
-    """Follows one camera on the body.
+    """Visual odometry of one camera on the body.
 
     Args:
         options: true imperfections.
         rng: random stream of the device.
-        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body, as it truly is.
+        mount_position_m, mount_rotation_wxyz: true pose of the camera (robot axes) in the body.
     """
 
     def __init__(
@@ -225,31 +223,31 @@ class VisualOdometry:
         self._started = False
 
     def restart(self) -> None:
-        """Lose the map: the next pose is the origin of a new world."""
+        """Reset the map: the next pose is the origin of a new world."""
         self._started = False
 
     def jump(self, distance_m: float) -> None:
-        """Correct the position at once, as a relocalisation does: translation only."""
+        """Shift the position at once, as after a relocalisation, in a random direction."""
         direction = self._rng.standard_normal(3)
         way = distance_m * direction / float(np.linalg.norm(direction))
         for k, by_m in enumerate(way.tolist()):
             self._state[POSITION + k] += by_m
 
     def drift(self, x_m: float, y_m: float) -> None:
-        """See a way in the wall's axes that the camera has not gone, together with the next step."""
+        """Add a motion in the wall's axes, which the camera has not made, to the next step."""
         if self._started:
             self._state[LAST_X] -= x_m
             self._state[LAST_Y] -= y_m
 
     def rate_rad_s(self, omega_rad_s: float) -> Array:
-        """The camera's rate of turn in its own axes (3,)."""
+        """Rate of turn in the camera's axes (3,)."""
         return self._in_camera([0.0, 0.0, omega_rad_s])
 
     def _in_camera(self, in_body: list[float]) -> Array:
         return np.array(camera_axes(*quat_rotate(quat_conjugate(self._mount_wxyz), in_body)))
 
     def _in_wall(self, in_camera: Array, theta_rad: float) -> tuple[float, float]:
-        """A vector in the camera's axes along wall x and y."""
+        """Convert a vector from the camera's axes to its components along wall x and y."""
         right, up, back = in_camera
         x, y, _ = quat_rotate(self._mount_wxyz, [-back, -right, up])
         c, s = math.cos(theta_rad), math.sin(theta_rad)
@@ -258,13 +256,13 @@ class VisualOdometry:
     def observe(
         self, body: BodyMotion, dt_s: float, scale: float = 1.0, by_wheels: tuple[Array, float] | None = None
     ) -> CameraPose:
-        """The camera's pose for the body's true motion, `dt_s` after the last one.
+        """Return the measured pose for the body's true motion, `dt_s` after the last one.
 
         Args:
-            body: its true motion.
-            dt_s: since the last pose.
-            scale: factor on what is seen.
-            by_wheels: velocity (2,), camera axes, m/s, as the wheels tell it; its weight beside what is seen.
+            body: true motion of the body.
+            dt_s: time since the last pose.
+            scale: factor on the measured motion.
+            by_wheels: velocity by the wheels (3,), camera axes, m/s, and its weight relative to vision.
         """
         x, y, theta, vx, vy, omega, _, _, tilt = body
         c, s = math.cos(theta), math.sin(theta)
@@ -302,7 +300,7 @@ class VisualOdometry:
         return CameraPose(position, velocity, rotation, rate)
 
     def _start(self, theta_rad: float, tilt_rad: float, in_wall: tuple[float, float]) -> None:
-        """Fix the levelled world by gravity and the direction the camera looks."""
+        """Define the levelled world by gravity and the direction in which the camera looks."""
         level = quat_from_rotvec([0.0, -tilt_rad, 0.0])
         body = quat_multiply(level, quat_from_yaw(theta_rad))
         forward = quat_rotate(quat_multiply(body, self._mount_wxyz), [1.0, 0.0, 0.0])

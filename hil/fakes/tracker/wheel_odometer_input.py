@@ -1,7 +1,7 @@
-"""The camera's wheel odometer: the calibration that it is given, and velocities, put to use or refused.
+"""Wheel odometer of the camera: its calibration, and the check and use of velocities.
 
-The T265 takes up to two velocity sensors. Each has a place and a rotation vector in the camera's axes, and
-the variance of its velocities (librealsense's manual of the T265).
+The T265 accepts up to two velocity sensors. Each has a position and a rotation vector in the camera's axes,
+and a variance of its velocities (librealsense's manual of the T265).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _MOST_SENSORS = 2
 _FASTEST_M_S = 10.0
 _FRESH_NS = nanoseconds(0.1)
 _VISUAL_VARIANCE = 1e-4
-"""Of the camera's own velocity, (m/s)^2: how much it trusts itself beside the wheels."""
+"""Variance of the camera's own velocity, (m/s)^2, which sets its weight relative to the wheels."""
 
 
 class VelocitySensor(NamedTuple):
-    """One sensor: place (m) and rotation in the camera's axes, scale (3, 3), variance (m/s)^2."""
+    """One sensor: position (m) and rotation in the camera's axes, scale (3, 3), variance (m/s)^2."""
 
     place_m: Array
     rotation_wxyz: Array
@@ -32,10 +32,10 @@ class VelocitySensor(NamedTuple):
 
 
 class WheelInput:
-    """What one camera knows by its wheels.
+    """Velocity measurements by the wheels that one camera has received.
 
     Attributes:
-        taken, refused: velocities.
+        taken, refused: number of accepted and rejected velocities.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class WheelInput:
         self.taken = self.refused = 0
 
     def load(self, text: bytes) -> bool:
-        """Take a calibration; whether it was one."""
+        """Load a calibration; returns whether it is valid."""
         try:
             found = json.loads(text)
             sensors = tuple(_sensor(one) for one in found["velocimeters"])
@@ -56,7 +56,7 @@ class WheelInput:
         return True
 
     def send(self, sensor: int, number: int, velocity_m_s: tuple[float, float, float], t_ns: int) -> bool:
-        """Take a velocity in the axes of its sensor; whether it could be one."""
+        """Store a velocity in the axes of its sensor; returns whether it is valid."""
         last = self._last.get(sensor)
         fits = 0 <= sensor < len(self._sensors) and (last is None or number > last[0])
         if not (fits and all(map(math.isfinite, velocity_m_s)) and math.hypot(*velocity_m_s) <= _FASTEST_M_S):
@@ -67,11 +67,11 @@ class WheelInput:
         return True
 
     def velocity(self, t_ns: int, rate_rad_s: Array) -> tuple[Array, float] | None:
-        """Velocity of the camera in its own axes (3,), m/s, and its weight beside what the camera sees.
+        """Velocity of the camera in its own axes (3,), m/s, and its weight relative to the visual velocity.
 
         Args:
             t_ns: world time.
-            rate_rad_s: the camera's own rate of turn, in its axes (3,).
+            rate_rad_s: rate of turn of the camera in its axes (3,).
         """
         fresh = [(k, v) for k, (_, at_ns, v) in self._last.items() if t_ns - at_ns <= _FRESH_NS]
         if not fresh:
@@ -86,7 +86,7 @@ class WheelInput:
 
 
 def _sensor(given: Any) -> VelocitySensor:
-    """A sensor of a calibration; raises `ValueError`, `KeyError` or `TypeError`."""
+    """Decode a sensor of a calibration; raises `ValueError`, `KeyError` or `TypeError`."""
     extrinsics = given["extrinsics"]
     place_m, turn_rad = (np.array(extrinsics[key], dtype=np.float64).reshape(3) for key in ("T", "W"))
     scale = np.array(given["scale_and_alignment"], dtype=np.float64).reshape(3, 3)
