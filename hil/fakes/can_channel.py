@@ -212,7 +212,7 @@ class WorldBus(can.BusABC):
             )
         self._channel = found
         self._queue = found.listen()
-        self._hears_itself = receive_own_messages
+        self._receives_own = receive_own_messages
         self.channel_info = f"emulated CAN channel {found.name}"
         self._can_protocol = can.CanProtocol.CAN_20
         super().__init__(channel, can_filters=can_filters, **kwargs)
@@ -253,7 +253,7 @@ class WorldBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a copy of a frame to all other listeners, and to this one if it receives its own messages."""
         self._channel.check_plugged()
-        sender = None if self._hears_itself else self._queue
+        sender = None if self._receives_own else self._queue
         self._channel.send(_copied(msg), self._channel.world.now_ns, sender=sender)
 
     def shutdown(self) -> None:

@@ -227,8 +227,8 @@ class SerialLine(Scheduled):
 
     def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
         faultless, rate = self.faults.empty, self._chip_baud(baud, t_ns)
-        for ready_ns, said in replies:
-            data = said if same_rate(rate, baud) else heard(said, rate, baud)
+        for ready_ns, reply in replies:
+            data = reply if same_rate(rate, baud) else heard(reply, rate, baud)
             for piece in (data,) if faultless else self._spoil(data, t_ns):
                 free_ns = self._in_free_ns
                 self._deliver(piece, ready_ns if ready_ns > free_ns else free_ns, rate)

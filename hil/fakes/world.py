@@ -71,7 +71,7 @@ class World:
         self._due_ns: list[int] = []
         self._order: list[tuple[int, int]] = []
         self._places: dict[int, int] = {}
-        self._asked: list[tuple[int, Scheduled]] = []
+        self._polled: list[tuple[int, Scheduled]] = []
         self.now_ns = 0
         self.failures: dict[str, HilError] = {}
         self.enclose: Callable[[Scheduled], Scheduled] | None = None
@@ -87,7 +87,7 @@ class World:
         insort(self._order, (due_ns, place))
         self._places[id(part)] = place
         if not announces:
-            self._asked.append((place, part))
+            self._polled.append((place, part))
 
     def changed(self, part: Scheduled) -> None:
         """Update the due time of a part that `announces` its changes."""
@@ -103,9 +103,9 @@ class World:
             order.remove((before_ns, place))
             insort(order, (due_ns, place))
 
-    def _ask(self) -> None:
+    def _poll(self) -> None:
         """Poll the due times of the parts that do not announce changes."""
-        for place, part in self._asked:
+        for place, part in self._polled:
             try:
                 self._move(place, part.next_due_ns())
             except Exception as error:
@@ -117,7 +117,7 @@ class World:
         if not isinstance(error, HilError):
             self._parts[place].broken = True
             self._places.pop(id(self._parts[place]), None)
-            self._asked = [one for one in self._asked if one[0] != place]
+            self._polled = [one for one in self._polled if one[0] != place]
             self._move(place, NEVER_NS)
 
     def rng(self, name: str) -> np.random.Generator:
@@ -132,9 +132,9 @@ class World:
         """Advance the world to `t_ns`; every part acts at its own due times on the way."""
         if t_ns < self.now_ns:
             return
-        parts, due_ns, order, asked, plant = self._parts, self._due_ns, self._order, self._asked, self.plant
-        if asked:
-            self._ask()
+        parts, due_ns, order, polled, plant = self._parts, self._due_ns, self._order, self._polled, self.plant
+        if polled:
+            self._poll()
         while order and (first := order[0])[0] <= t_ns:
             now_ns, place = first
             if now_ns > self.now_ns:
@@ -155,13 +155,13 @@ class World:
             except Exception as error:
                 self._broken(place, error)
                 raise
-            if asked and not getattr(part, "alone", False):
-                self._ask()
+            if polled and not getattr(part, "alone", False):
+                self._poll()
         self.now_ns = t_ns
 
     def next_due_ns(self) -> int:
         """World time of the earliest planned action."""
-        self._ask()
+        self._poll()
         return self._order[0][0] if self._order else NEVER_NS
 
 

@@ -20,7 +20,7 @@ class AdhesionTruthOptions:
         start: `tethered`: the robot hangs on a tether until the fan has carried it once. `running`: the fan
             runs at the working point, as if a daemon had kept it running. `off`. `by use`: running in
             virtual time, tethered at the wire, where it is not known when a client comes.
-        timeout_s: without a `SET_*` for so long the motor is released; 0 never.
+        timeout_s: time without a `SET_*` after which the motor is released; 0 for never.
         rate_1_hz, rate_2_hz: two rates of status messages.
         messages_1, messages_2: which status messages (1 to 6) go out at each rate; as delivered none: `[]`.
         firmware: version that it reports.
@@ -32,9 +32,9 @@ class AdhesionTruthOptions:
         spin_up_s, spin_down_s: time constants of the speed.
         cut_start_v, cut_end_v: battery voltage from which the current is reduced, and where it is none.
         hot_start_c, hot_end_c: the same for the temperature of the power stage.
-        ambient_c: of the air.
-        heating_c_per_a2: how much hotter the power stage gets, per square of the motor's current.
-        highest_a: current that the motor may have.
+        ambient_c: air temperature.
+        heating_c_per_a2: heating of the power stage per square of the motor's current.
+        highest_a: largest current of the motor.
     """
 
     start: Start = "by use"

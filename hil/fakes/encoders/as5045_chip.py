@@ -36,7 +36,7 @@ class EncoderTruthOptions:
     Attributes:
         noise_rad: transition noise, 0.06 degrees rms in fast mode.
         once_rad, twice_rad: amplitude of the once- and twice-per-turn error of an eccentric magnet.
-        firmware, layout: what the node says of its firmware and of the layout of its frames.
+        firmware, layout: version of its firmware and of its frame layout that the node reports.
     """
 
     noise_rad: float = math.radians(0.06)

@@ -40,11 +40,11 @@ class LoadCellTruthOptions:
     """True imperfections; standard deviations of what is drawn from the world's seed.
 
     Attributes:
-        noise_n: of a conversion, each cell.
-        zero_sigma_n: of what each cell shows without load, beside what the bench file says.
-        drift_n_per_min: how far the zero goes in a minute.
-        scale_sigma: relative, of each cell.
-        uneven_share: of the load that one cell has more than the other.
+        noise_n: noise of a conversion, each cell.
+        zero_sigma_n: deviation of each cell's zero from the bench file.
+        drift_n_per_min: drift of the zero per minute.
+        scale_sigma: relative error of each cell's scale.
+        uneven_share: share of the load by which one cell has more than the other.
     """
 
     noise_n: Newton = 0.05

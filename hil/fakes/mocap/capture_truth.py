@@ -8,7 +8,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class MocapTruthOptions:
-    """What the capture system does wrong, as the authors' recordings show it.
+    """True imperfections of the capture system, as in the authors' recordings.
 
     Attributes:
         rate_hz: frames per second, 100 or 240 as Motive is usually set.

@@ -243,7 +243,7 @@ class NatNetServer(Scheduled):
         known = self._clients.get(client)
         if kind in (natnet_encoding.CONNECT, natnet_encoding.KEEPALIVE):
             if self.multicast is None:
-                self._clients[client] = self._heard(kind, payload, known, outlet, t_ns)
+                self._clients[client] = self._updated(kind, payload, known, outlet, t_ns)
             if kind == natnet_encoding.KEEPALIVE:
                 return b""
             return natnet_encoding.server_info(self._version, CLOCK_HZ, self.data_port, self.multicast)
@@ -259,16 +259,16 @@ class NatNetServer(Scheduled):
             return self._command(payload.split(b"\0")[0].decode("utf-8", "replace"), known)
         return natnet_encoding.message(natnet_encoding.UNRECOGNISED)
 
-    def _heard(self, kind: int, payload: bytes, known: Client | None, outlet: Outlet, t_ns: int) -> Client:
+    def _updated(self, kind: int, payload: bytes, known: Client | None, outlet: Outlet, t_ns: int) -> Client:
         """Return the client after its request; only unicast clients send keep-alives."""
         group, version = self.offered_group, self._version if known is None else known.version
-        asked = tuple(payload[_BITSTREAM])
+        requested = tuple(payload[_BITSTREAM])
         if (
             kind == natnet_encoding.CONNECT
-            and asked in natnet_encoding.VERSIONS
-            and asked <= self._version >= (4, 0)
+            and requested in natnet_encoding.VERSIONS
+            and requested <= self._version >= (4, 0)
         ):
-            version = (asked[0], asked[1])
+            version = (requested[0], requested[1])
         alone = group is None or kind == natnet_encoding.KEEPALIVE or not outlet.joined(group)
         return Client(outlet, version, t_ns, alone or (known is not None and known.by_unicast))
 
@@ -278,8 +278,8 @@ class NatNetServer(Scheduled):
             return natnet_encoding.message(natnet_encoding.RESPONSE, struct.pack("<f", self._options.rate_hz))
         if text == "UnitsToMillimeters":
             return natnet_encoding.message(natnet_encoding.RESPONSE, struct.pack("<f", 1000.0))
-        wanted = {"Bitstream,{}.{}".format(*v): v for v in natnet_encoding.VERSIONS if v <= self._version}
-        if text in wanted and client is not None and self._version >= (4, 0):
-            client.version = wanted[text]
+        versions = {"Bitstream,{}.{}".format(*v): v for v in natnet_encoding.VERSIONS if v <= self._version}
+        if text in versions and client is not None and self._version >= (4, 0):
+            client.version = versions[text]
             return natnet_encoding.message(natnet_encoding.RESPONSE, bytes(4))
         return natnet_encoding.message(natnet_encoding.UNRECOGNISED)

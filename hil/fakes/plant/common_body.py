@@ -64,7 +64,7 @@ class SteppedBody(Plant):
         self._goals: Any = self._commands.goal.data
         self._commands.rate_limit[:] = self._commands.amps_limit[:] = np.inf
         self._commands.duty_limit[:] = 1.0
-        self._asked: list[tuple[str, float, float, float] | None] = [None] * 8
+        self._settings: list[tuple[str, float, float, float] | None] = [None] * 8
         self._truth: PlantState | None = None
         self._motion = robots["state"]["origin"].view(np.float64)
         self._headings = _view(self._state.heading)
@@ -99,16 +99,16 @@ class SteppedBody(Plant):
         Raises:
             UsageError: no such joint, or a goal or limit that is not a number.
         """
-        asked, goal, rate_limit, amps_limit, duty_limit = command
-        how, possible = (asked, rate_limit, amps_limit, duty_limit), 0 <= joint < 8 and math.isfinite(goal)
-        if possible and how == self._asked[joint]:
+        name, goal, rate_limit, amps_limit, duty_limit = command
+        setting, possible = (name, rate_limit, amps_limit, duty_limit), 0 <= joint < 8 and math.isfinite(goal)
+        if possible and setting == self._settings[joint]:
             self._goals[joint] = goal
             return
         if not (possible and rate_limit >= 0.0 and amps_limit >= 0.0 and duty_limit >= 0.0):
             raise UsageError(
                 f"joint {joint}: {command}", expected="a joint 0..7, a finite goal and limits >= 0"
             )
-        q, mode = self._commands, _MODES[asked]
+        q, mode = self._commands, _MODES[name]
         self.by_hand = self.by_hand and mode == MODE_OFF
         if mode != q.mode[joint]:
             self._state.integral[joint] = 0.0
@@ -116,7 +116,7 @@ class SteppedBody(Plant):
         q.goal[joint] = goal
         q.rate_limit[joint], q.amps_limit[joint] = rate_limit, amps_limit
         q.duty_limit[joint] = duty_limit if duty_limit < 1.0 else 1.0
-        self._asked[joint] = how
+        self._settings[joint] = setting
 
     @property
     def working_point(self) -> HoldingForces:

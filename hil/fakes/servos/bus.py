@@ -157,12 +157,12 @@ class ServoBus(SerialChip, Scheduled):
         level = {protocol.PING: 0, protocol.READ: 1}.get(instruction.code, 2)
         replies = []
         for servo in [s for s in listeners if s.answers_to(instruction.servo_id)]:
-            asked_id = servo.id
+            addressed_id = servo.id
             answer = self._single.obey(servo, instruction, t_ns)
             if answer is None:
                 continue
-            if instruction.servo_id == asked_id and servo.answers(level):
-                replies += self._status(servo, *answer, t_ns, servo_id=asked_id)
+            if instruction.servo_id == addressed_id and servo.answers(level):
+                replies += self._status(servo, *answer, t_ns, servo_id=addressed_id)
             self._single.finish(servo, instruction, answer[0], t_ns)
         return _collided(replies)
 

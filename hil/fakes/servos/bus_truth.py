@@ -90,13 +90,13 @@ class ServoBusOptions:
             the model needs.
         supply_ohm: its drop by current.
         ambient_c: air temperature.
-        cadence_s: the servos renew what they show every so often, as in the recordings (0.016); 0: at
-            every look.
-        cadence_jitter_s, cadence_gaps_per_s, cadence_longest_gap_s: what disturbs that cadence.
+        cadence_s: period at which the servos update their measurements, as in the recordings (0.016); 0: at
+            every read.
+        cadence_jitter_s, cadence_gaps_per_s, cadence_longest_gap_s: deviations from that period.
         drive_start_counts: encoder counts of the drives at joint angle 0.
-        dither_counts: noise of the encoders before they count, counts, one sigma.
-        overload_a: current that counts as overload; the model's where it is left out.
-        overload_s: how long it lasts until it does.
+        dither_counts: noise of the encoders before rounding, counts, one sigma.
+        overload_a: current that counts as overload; by default that of the model.
+        overload_s: time at that current until the overload error.
     """
 
     ids: Annotated[tuple[Id, ...], AfterValidator(_eight_ids)] = (1, 2, 3, 4, 5, 6, 7, 8)

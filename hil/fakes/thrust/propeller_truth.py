@@ -11,10 +11,10 @@ from hil.fakes.initial_support import Start
 
 @dataclass(frozen=True)
 class ThrustTruthOptions:
-    """How they begin, and how quickly they follow.
+    """Initial state of the propellers, and their time constant.
 
     Attributes:
-        start: as of the emulated fan: `tethered`, `running`, `off`, or `by use`.
+        start: as for the emulated fan: `tethered`, `running`, `off`, or `by use`.
         lag_s: time constant of the force.
     """
 

@@ -10,7 +10,7 @@ from hil.config.values import Within
 
 @dataclass(frozen=True)
 class TrackerTruthOptions:
-    """What one camera does wrong; individual values are drawn once per seed.
+    """True imperfections of one camera; individual values are drawn once per seed.
 
     A key without a range of its own has that of its suffix, such as `_m_s` (`hil.fakes.emulation_request`).
 
@@ -29,7 +29,7 @@ class TrackerTruthOptions:
         clock_ppm: error of the time stamps' clock, standard deviation over cameras.
         drop_probability: poses that USB loses.
         settle_s: time with confidence 0, then 1, then 2, before it is 3.
-        fast_m_s, fast_rad_s, low_confidence_s: motion that costs confidence, and for how long.
+        fast_m_s, fast_rad_s, low_confidence_s: motion that lowers the confidence, and for how long.
         relocalisations_per_s, relocalisation_m: mean rate of spontaneous jumps, and how far.
         boot_s: silence after a reset.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body as it truly is; as the
