@@ -110,7 +110,7 @@ def load_mujoco() -> Any:
             f"emulation.plant = 'mujoco': `import mujoco` fails: {type(error).__name__}: {error}",
             remedy=f"see that nothing else here is called mujoco, then {how_to_install('mujoco')}",
         ) from error
-    if silent:  # it would write MUJOCO_LOG.TXT where the user stands
+    if silent:  # it would write MUJOCO_LOG.TXT into the current directory
         mujoco.set_mju_user_warning(_log.warning)
     return mujoco
 
