@@ -58,6 +58,23 @@ def test_a_client_that_knows_only_the_dbc_reads_the_fan():
         assert any(v == pytest.approx(node.fan.input_v, abs=0.1) for v in found.values())
 
 
+def test_charge_and_energy_drawn_are_those_of_current_and_voltage():
+    database = cantools.database.load_file(DBC)
+    with fan_world(start="off", messages_1=(2, 3), messages_2=(4, 5), rate_2_hz=10.0) as (_world, clock, _node, bus):
+        keep(bus, clock, 5.0)
+        newest = {"ChargeDrawn": 0.0, "EnergyDrawn": 0.0}
+        charge_as, energy_j, amps = 0.0, 0.0, []
+        for frame_id, data in heard(bus):
+            newest |= database.get_message_by_frame_id(frame_id & ~0xFF).decode(data)
+            if frame_id >> 8 == 27:
+                amps.append(newest["InputCurrent"])
+                charge_as += 0.1 * newest["InputCurrent"]
+                energy_j += 0.1 * newest["InputCurrent"] * newest["InputVoltage"]
+    assert len(amps) == 50
+    assert newest["ChargeDrawn"] * 3600 == pytest.approx(charge_as, rel=0.05)
+    assert newest["EnergyDrawn"] * 3600 == pytest.approx(energy_j, rel=0.05)
+
+
 def test_status_messages_can_be_off_as_delivered():
     with fan_world(start="off", messages_1=(), messages_2=()) as (_world, clock, _node, bus):
         keep(bus, clock, 1.0)

@@ -41,13 +41,14 @@ class Fan:
     Attributes:
         speed_rpm: speed of the fan.
         motor_a, input_a, input_v, fet_c, duty: values that the controller measures.
+        used_ah, used_wh: charge and energy drawn from the battery since the start.
         strength: share of the motor's power that is left under a fault.
     """
 
     def __init__(self, config: MotorConfig, options: AdhesionTruthOptions, gain: float) -> None:
         self._config, self._options, self._gain = config, options, gain
         self._t_ns = 0
-        self._used_ah = 0.0
+        self.used_ah = self.used_wh = 0.0
         self.demand = Demand()
         self.speed_rpm = self.motor_a = self.input_a = self.duty = 0.0
         self.strength = 1.0
@@ -105,8 +106,9 @@ class Fan:
         self._measure()
         warm_c = options.ambient_c + options.heating_c_per_a2 * self.motor_a**2
         self.fet_c += (warm_c - self.fet_c) * (1.0 - math.exp(-dt_s / _THERMAL_S))
-        self._used_ah += self.input_a * dt_s / _S_PER_H
-        empty = min(self._used_ah / options.pack_ah, 1.0)
+        self.used_ah += self.input_a * dt_s / _S_PER_H
+        self.used_wh += self.input_a * self.input_v * dt_s / _S_PER_H
+        empty = min(self.used_ah / options.pack_ah, 1.0)
         loaded_v = options.pack_v * (1.0 - _SAG_OF_CHARGE * empty) - options.pack_ohm * self.input_a
         self.input_v += (loaded_v - self.input_v) * (1.0 - math.exp(-dt_s / _PACK_S))
 

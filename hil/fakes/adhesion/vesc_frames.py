@@ -39,9 +39,9 @@ def status_1(erpm: float, motor_a: float, duty: float) -> bytes:
     return struct.pack(">ihh", clipped(erpm, 32), clipped(motor_a * 10, 16), clipped(duty * 1000, 16))
 
 
-def status_2(ah: float) -> bytes:
-    """Encode status message 2 or 3: ampere-hours drawn; the charged value is 0."""
-    return struct.pack(">ii", clipped(ah * 1e4, 32), 0)
+def status_2_or_3(used: float) -> bytes:
+    """Encode status message 2 (charge drawn, Ah) or 3 (energy drawn, Wh); the charged value is 0."""
+    return struct.pack(">ii", clipped(used * 1e4, 32), 0)
 
 
 def status_4(fet_c: float, motor_c: float, input_a: float) -> bytes:

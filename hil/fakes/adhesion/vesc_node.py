@@ -111,7 +111,7 @@ class VescNode(MotorNode):
                 amps = fan.motor_a + (_AMPS_NOISE_A * noise[1] if fan.motor_a else 0.0)
                 yield 9, vesc_frames.status_1(self._vesc.pole_pairs * rpm, amps, fan.duty)
             elif number in (2, 3):
-                yield 12 + number, vesc_frames.status_2(0.0)
+                yield 12 + number, vesc_frames.status_2_or_3(fan.used_ah if number == 2 else fan.used_wh)
             elif number == 4:
                 yield 16, vesc_frames.status_4(fan.fet_c, self._options.ambient_c, fan.input_a)
             elif number == 5:

@@ -125,8 +125,8 @@ class TeensyChip(SerialChip):
         self._advance(t_ns)
         while self._waiting and self._waiting[0][0] <= t_ns:
             self.step = self._waiting.pop(0)[1]
-        if self._failed and t_ns >= self._step_down_ns:
-            self.step = max(0, self.step - 1)
+        if self._failed and self.step and t_ns >= self._step_down_ns:
+            self.step -= 1
             self._step_down_ns += _STEP_DOWN_NS
         settled = abs(self._aim_n(t_ns) - self.force_n) < _SETTLED * self._config.full_force_n
         calm_ns = _TICK_NS if self._world.faults.empty else _AWAKE_NS
@@ -135,8 +135,11 @@ class TeensyChip(SerialChip):
         return []
 
     def next_poll_ns(self) -> int:
-        """Time of the next physics step."""
-        return self._tick_ns
+        """Time of the next physics step or change of the throttle."""
+        changes_ns = [due_ns for due_ns, _ in self._waiting[:1]]
+        if self._failed and self.step:
+            changes_ns.append(self._step_down_ns)
+        return min([self._tick_ns, *changes_ns])
 
     def _take(self, line: bytes, t_ns: int) -> None:
         match = _LINE.fullmatch(line)
