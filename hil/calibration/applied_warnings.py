@@ -83,7 +83,7 @@ def used_otherwise(file: CalibrationFile, model: str | None, signal: str, deploy
     out = []
     if deploy == "twist" and model is not None:
         out.append(
-            f"--model {model} has no say with --deploy twist, which corrects odometry by the model exact"
+            f"--model {model} has no effect with --deploy twist, which corrects odometry by the model exact"
         )
     elif model is not None and model != file.model:
         out.append(

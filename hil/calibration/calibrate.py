@@ -181,9 +181,9 @@ def calibrate(
     Args:
         recordings: runs with ground truth.
         setting: `PAPER`, `RECOMMENDED` or a variation.
-        clock: for the reported compute time.
+        clock: clock for the reported compute time.
         method: `lm`, `interior-point`, `ga` or `pso`.
-        seed: of the stochastic methods.
+        seed: seed of the stochastic methods.
         nominal: nominal robot: start, prior mean, and basis of the errors before; the CAD model by default.
         choice: how setting and nominal were chosen, where this was done before.
         validate: whether to run the cross-validations. Where the setting leaves the forward model open, they

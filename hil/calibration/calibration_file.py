@@ -247,7 +247,7 @@ def write_calibration(
     """Write a calibration; an older file of that name is first kept under its version number.
 
     Args:
-        path: where to write.
+        path: file to write.
         result: calibration to write.
         created: date and time, ISO 8601.
         software: package versions that it was made with.

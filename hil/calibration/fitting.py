@@ -69,10 +69,10 @@ def fit(
         setting: what to fit, and how.
         nominal: start, prior mean and centre of the box.
         method: `lm`, `interior-point`, `ga` or `pso`.
-        seed: of the stochastic methods.
+        seed: seed of the stochastic methods.
         start: parameters (m,), for the short fit of a cross-validation's fold. Only the paper's cost, which
             is then iterated to its end, starts there; a robust fit goes through the chain from nominal,
-            because a few steps from a solution that knows the left-out runs would not forget them.
+            because a few steps from a solution fitted to the left-out runs, too, would stay near it.
         progress: called with the generations of the stochastic methods.
     """
     problem = Problem(blocks, setting, nominal)

@@ -131,7 +131,7 @@ def choose(
     Args:
         recordings: at least two repetitions.
         among: candidates.
-        seed: of the bootstrap.
+        seed: seed of the bootstrap.
         groups: label of each recording; those of one label are left out together. By repetition where it is
             empty or has only one label.
         report: progress.

@@ -83,7 +83,7 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
     """Levenberg-Marquardt with damped steps solved within the box (More 1978; Kanzow et al. 2004).
 
     Args:
-        problem: to solve.
+        problem: problem to solve.
         z0: (m,) start.
         limit: largest number of iterations.
     """
@@ -148,7 +148,7 @@ def interior_point(problem: Problem, z0: Array) -> Solution:
     """Method `trust-constr` of scipy: a barrier for the box, a trust region, and the Gauss-Newton matrix.
 
     Args:
-        problem: to solve.
+        problem: problem to solve.
         z0: (m,) start.
     """
     from scipy.optimize import Bounds, minimize

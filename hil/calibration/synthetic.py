@@ -300,7 +300,7 @@ def make_set(
     """Simulate recordings `MOTION_k`, several repetitions per motion; a share of them with three slip bursts.
 
     Args:
-        robot: with hidden true parameters.
+        robot: robot with hidden true parameters.
         seed: seed of everything that differs between recordings.
         motions: names of the motions.
         repetitions: number of repetitions per motion.

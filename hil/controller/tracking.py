@@ -82,8 +82,8 @@ def make_modules(config: ControlConfig, geometry: WheelGeometry, *, rate_hz: flo
 
     Args:
         config: `[control]` of the bench file.
-        geometry: of the wheels.
-        rate_hz: of the loop.
+        geometry: wheel parameters.
+        rate_hz: rate of the loop, Hz.
     """
     limits = ModuleLimits(
         config.wheel_speed_m_s,
@@ -103,9 +103,9 @@ def make_controller(
 
     Args:
         config: `[control]` of the bench file.
-        geometry: of the wheels.
+        geometry: wheel parameters.
         trajectory: trajectory to follow.
-        rate_hz: of the loop.
+        rate_hz: rate of the loop, Hz.
     """
     dt_s = 1.0 / rate_hz
     law: Law = NonlinearLaw(config.gains)

@@ -25,8 +25,8 @@ from hil.datasets.truth_jumps import Bools
 
 _UNIT = (0.9, 1.1)
 """Range of the squared norm of a quaternion that counts as a rotation."""
-_NO_HEADING = "ground-truth messages whose quaternion is no rotation left out: they hold no heading"
-_UNKNOWN = "ground-truth messages whose covariance (-1) says that their pose is not known left out"
+_NO_HEADING = "ground-truth messages left out because their quaternion is no rotation, so no heading"
+_UNKNOWN = "ground-truth messages left out because a covariance of -1 marks their pose as unknown"
 _PLANAR = (0, 7, 35)
 """Indices of the variances of x, y and the turn about z; `_PLANAR_Y_UP`: in a frame whose y axis is up."""
 _PLANAR_Y_UP = (0, 14, 28)

@@ -65,7 +65,7 @@ def clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Ar
     Receive stamps are made increasing the authors' way.
 
     Args:
-        log: as read.
+        log: rows as read from the file.
         needed: number of leading columns that must be finite.
         kind: name of the rows in the repairs.
         repairs: counts of repairs by name; changed in place.

@@ -193,7 +193,7 @@ def _unreadable(columns: list[str], line: str) -> str:
         if name not in _WORDS and _row(field, count) is None:
             wanted = "a number" if count == 1 else f"{count} numbers"
             return f"{name} holds {field[:_SHOWN]!r}, not {wanted}"
-    return "its columns hold other numbers than its header says"
+    return "its columns do not hold the numbers that its header names"
 
 
 def _row(line: str, width: int) -> list[float] | None:

@@ -167,7 +167,7 @@ def _times_given(same: Sequence[Job]) -> int:
     return max(Counter(file.resolve() for job in same for file in job.given).values())
 
 
-def _of(path: Path, read: Callable[[], Recording]) -> Job:
+def _one_job(path: Path, read: Callable[[], Recording]) -> Job:
     """Job for a run of one file, or of a folder that is one recording."""
     return Job((path,), read, (path,))
 
@@ -201,7 +201,7 @@ def _folder(folder: Path, mapping: TopicMap | None, nominal: Nominal | None) -> 
 def _bag(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
     if mapping is None:
         raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
-    return _of(path, lambda: rosbag.read_bag(path, mapping, nominal))
+    return _one_job(path, lambda: rosbag.read_bag(path, mapping, nominal))
 
 
 def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
@@ -242,10 +242,10 @@ def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
     if path.suffix == ".mcap" and mapping is not None:
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":
-        return _of(path, lambda: _whole_or_not(path, nominal))
+        return _one_job(path, lambda: _whole_or_not(path, nominal))
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():
             raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
         return _pair(odom, public_csv.partner(odom), nominal, (path,))
-    return _of(path, lambda: plain_csv.read_plain(path, nominal))
+    return _one_job(path, lambda: plain_csv.read_plain(path, nominal))

@@ -37,7 +37,7 @@ def band(degrees: int, runs: int, probability: float = 0.95) -> tuple[float, flo
     Args:
         degrees: degrees of freedom in one run.
         runs: number of runs averaged.
-        probability: that the mean of a consistent filter lies inside.
+        probability: probability that the mean of a consistent filter lies inside.
     """
     total = degrees * runs
     tail = 0.5 * (1.0 - probability)

@@ -170,7 +170,7 @@ class SensorNoise:
 
 
 def measure(runs: Runs, geometry: WheelGeometry) -> SensorNoise:
-    """Measure the noise of all sensors in runs of cycles; each run must cover only the span of its truth."""
+    """Measure the noise of all sensors in runs of cycles; comparisons with motion capture cover its span."""
     found = SensorNoise()
     every = [RunSamples(cycles, geometry) for cycles in runs]
     for run in every:

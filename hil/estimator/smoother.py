@@ -70,7 +70,7 @@ def smooth(
     """Smoothed states at the times of the cycles.
 
     Args:
-        config: of the filter; `kind` and `engine` do not matter, the forward pass is the compiled EKF.
+        config: filter configuration; `kind` and `engine` are ignored, the forward pass is the compiled EKF.
         geometry: calibrated wheel parameters.
         surface: `wall` or `floor`.
         measurements: one run from its first cycle.

@@ -39,7 +39,7 @@ class OdometryEstimator(Estimator):
 
     Args:
         config: noise of the wheels, and slip of the surface.
-        geometry: of the wheels.
+        geometry: wheel parameters.
         surface: `wall` or `floor`.
     """
 

@@ -155,7 +155,7 @@ def forward(
     """Body twist (..., 3) from signed wheel speeds (..., 4) m/s and measured steering angles (..., 4) rad.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         wheel_speed_m_s: (..., 4) signed rolling speeds, m/s.
         steering_rad: (..., 4) measured steering angles, rad.
         model: name of the forward model.
@@ -168,7 +168,7 @@ def twist_of_vectors(geometry: WheelGeometry, u: Array, model: str = "exact") ->
     """Body motion (..., 3) from wheel vectors (..., 8), in m/s or in m per step.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         u: (..., 8) wheel vectors.
         model: name of the forward model.
     """

@@ -78,8 +78,8 @@ def chord(heading: Array, turn: Array) -> tuple[Array, Array]:
     """Cosine and sine of the direction of a step's chord, times chord over arc length; numbers or (n,).
 
     Args:
-        heading: at the start of the step, rad.
-        turn: within the step, rad.
+        heading: heading at the start of the step, rad.
+        turn: turn within the step, rad.
     """
     half = 0.5 * turn
     length = np.sinc(half / np.pi)
@@ -137,7 +137,7 @@ def state_derivative(
     State (x, y, theta, phi_1..4, delta_1..4); inputs (v_1..4 m/s, steering rates 1..4 rad/s).
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         state: (11,) pose in the wall frame (m, rad), wheel angles and steering angles (rad).
         inputs: (8,) rolling speeds (m/s) and steering rates (rad/s).
         model: `exact` or `paper`.
@@ -155,7 +155,7 @@ def state_jacobian(
     """Derivative (11, 11) of `state_derivative` by the state.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         state: (11,), as for `state_derivative`.
         inputs: (8,), likewise.
         model: `exact` or `paper`.
@@ -178,7 +178,7 @@ def input_jacobian(geometry: WheelGeometry, state: ArrayLike, model: str = "exac
     """Derivative (11, 8) of `state_derivative` by the inputs; it does not depend on the inputs.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         state: (11,), as for `state_derivative`.
         model: `exact` or `paper`.
     """
