@@ -1,1 +1,1 @@
-"""Odometry calibration: data sets, models, solvers, identifiability, validation."""
+"""Odometry calibration: models, solvers, identifiability, validation, and calibration files."""

@@ -1,7 +1,7 @@
-"""Warnings on a calibration that is applied: what it was fitted to, and where its use differs.
+"""Warnings about applying a calibration: what it was fitted to, and where its use differs.
 
-Errors on recordings that a fit has seen do not say how it does on others. Its parameters are those of one
-forward model and one wheel signal: another model or signal reads other wheels into them.
+Errors on recordings used in the fit do not show the errors on others. The parameters belong to one forward
+model and one wheel signal; with another model or signal the same recordings give other parameters.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from hil.datasets.dataset import Recording
 
 @dataclass(frozen=True)
 class InSample:
-    """Which of some recordings a calibration was fitted to.
+    """Which of the given recordings a calibration was fitted to.
 
     Attributes:
-        names: of those that it was fitted to, by the digest of a file or by their wheels.
-        among: how many there are in all.
-        known: whether the calibration says to what it was fitted.
+        names: recordings that it was fitted to, recognised by the digest of a file or by their wheels.
+        among: number of given recordings.
+        known: whether the calibration records what it was fitted to.
     """
 
     names: tuple[str, ...]
@@ -29,13 +29,13 @@ class InSample:
     known: bool
 
     def to_json(self) -> dict[str, object]:
-        """`{"count": 2, "of": 24, "names": [...]}`; `count` is None where that is not known."""
+        """`{"count": 2, "of": 24, "names": [...]}`; `count` is None where it is not known."""
         return {"count": len(self.names) if self.known else None, "of": self.among, "names": list(self.names)}
 
     def in_words(self) -> str:
         """One line for tables and pages."""
         if not self.known:
-            return "in sample or not: the calibration does not say to which files it was fitted"
+            return "in sample or not: the calibration does not record which files it was fitted to"
         if not self.names:
             return f"held out: the calibration was fitted to none of these {self.among} recordings"
         return (
@@ -45,11 +45,11 @@ class InSample:
 
 
 def in_sample(file: CalibrationFile, recordings: Sequence[Recording]) -> InSample:
-    """Which of the recordings a calibration was fitted to: those of the same bytes or wheels, by any name.
+    """Find the recordings that a calibration was fitted to: same bytes or same wheels, under any name.
 
     Args:
         file: the calibration.
-        recordings: that it is applied to.
+        recordings: recordings that it is applied to.
     """
     digests = {digest for used in file.recordings.values() for digest in _digests(used.get("sha256"))}
     wheels = [numbers for used in file.recordings.values() if (numbers := _numbers(used.get("wheels")))]
@@ -72,18 +72,18 @@ def _numbers(found: object) -> list[float]:
 
 
 def used_otherwise(file: CalibrationFile, model: str | None, signal: str, deploy: str) -> list[str]:
-    """How a calibration is used in another way than it was fitted for, a sentence each.
+    """Warnings, one sentence each, where a calibration is used with another model or signal than fitted.
 
     Args:
         file: the calibration.
-        model: forward model that was asked for, None for the calibration's own.
-        signal: wheel signal that is used.
+        model: requested forward model, None for the calibration's own.
+        signal: wheel signal in use.
         deploy: `parameters` or `twist`.
     """
     out = []
     if deploy == "twist" and model is not None:
         out.append(
-            f"--model {model} has no say with --deploy twist, which corrects odometry by the model exact"
+            f"--model {model} has no effect with --deploy twist, which corrects odometry by the model exact"
         )
     elif model is not None and model != file.model:
         out.append(

@@ -1,4 +1,4 @@
-"""`hil calibrate` as a function: fit, validate, say what the data determine, put it in one result."""
+"""`hil calibrate` as a function: fit, validate, analyse identifiability, and collect all in one result."""
 
 from __future__ import annotations
 
@@ -40,13 +40,14 @@ _VALIDATION_BLOCK_S = 0.5
 
 @dataclass(frozen=True)
 class Calibration:
-    """Everything that a calibration found; `to_json` gives the documented keys.
+    """Result of a calibration; `to_json` gives the documented keys.
 
-    `robot` is what errors before are counted from; `choice` says how held-out recordings decided the forward
-    model, None where they did not; `apart_m` how far from where it ends those end that may be as right, on a
-    metre of each motion; all figures are of `recordings`, those that were fitted; `rejected` says why others
-    were left out, by name; `wall_s` is the compute time of the calibration itself, `validation_s`
-    that of judging the recordings and of the cross-validations.
+    `robot` is the nominal robot that errors before are computed with. `choice` tells how held-out recordings
+    decided the forward model, None where they did not. `apart_m` is the distance, per metre of each motion,
+    from the end of its path to the ends by other models that may be as right. All figures are of
+    `recordings`, those that were fitted; `rejected` gives the reason why others were left out, by name.
+    `wall_s` is the compute time of the calibration itself, `validation_s` that of judging the recordings and
+    of the cross-validations.
     """
 
     method: str
@@ -71,7 +72,7 @@ class Calibration:
 
     @property
     def nominal(self) -> WheelGeometry:
-        """The geometry on paper that the fit started from."""
+        """Nominal geometry that the fit started from."""
         return self.robot.geometry
 
     @property
@@ -81,26 +82,26 @@ class Calibration:
 
     @property
     def explains(self) -> bool:
-        """Whether the result explains the recordings; else a warning says so and what to look for."""
+        """Whether the result explains the recordings; if not, a warning tells what to look for."""
         return not unexplained(self.fit)
 
     def choice_in_words(self) -> tuple[str, ...]:
-        """How the forward model was chosen; of models that may be as right, what that costs elsewhere."""
+        """How the forward model was chosen, and how far models that may be as right end apart."""
         if self.choice is None:
             return ()
-        said = self.choice.in_words()
+        sentence = self.choice.in_words()
         if not self.apart_m:
-            return (said,)
+            return (sentence,)
         ways = ", ".join(f"{1e3 * apart:.1f} mm {motion}" for motion, apart in self.apart_m.items())
         rivals = ", ".join(rival.name for rival in self.choice.rivals)
         return (
-            said,
+            sentence,
             f"These explain the recordings as well: {rivals}. On a metre they end up to {ways} away.",
         )
 
     @property
     def driven(self) -> Driven:
-        """How far the recordings drive in each direction."""
+        """Distance that the recordings drive in each direction."""
         return driven(self.fit.problem.blocks, self.nominal)
 
     @property
@@ -175,25 +176,24 @@ def calibrate(
     unusable: Mapping[str, str] | None = None,
     report: Report = silent,
 ) -> Calibration:
-    """Fit the odometry parameters to recordings and judge the result; corrupt ones are named and left out.
+    """Fit the odometry parameters to recordings and judge the result; name and leave out corrupt ones.
 
     Args:
         recordings: runs with ground truth.
         setting: `PAPER`, `RECOMMENDED` or a variation.
-        clock: for the reported compute time.
+        clock: clock for the reported compute time.
         method: `lm`, `interior-point`, `ga` or `pso`.
-        seed: of the stochastic methods.
-        nominal: what the robot is on paper: start, prior mean, and what errors before are counted from;
-            CAD by default.
-        choice: how setting and nominal were chosen, where that was done before.
-        validate: whether to run the cross-validations. Where the setting leaves the forward model open they
-            decide it, by recordings left out of the fit; without them the fit's own residuals do.
-        unusable: recordings that could not be read, and why, by name: the result names them, too.
+        seed: seed of the stochastic methods.
+        nominal: nominal robot: start, prior mean, and basis of the errors before; the CAD model by default.
+        choice: how setting and nominal were chosen, where this was done before.
+        validate: whether to run the cross-validations. Where the setting leaves the forward model open, they
+            decide it by recordings left out of the fit; without them the fit's own residuals decide.
+        unusable: recordings that could not be read, with the reason by name; the result lists them as well.
         report: progress callback (what, done, total).
 
     Raises:
-        DataError: nothing to fit, recordings of one name, a signal that they lack, or the geometry of another
-            robot.
+        DataError: nothing to fit, two recordings of one name, a wheel signal that was not recorded, or the
+            geometry of another robot.
     """
     if not recordings:
         raise DataError("", "no recordings", expected="at least one")
@@ -255,7 +255,7 @@ def calibrate(
 
 
 def _intervals(found: Fit, cad: WheelGeometry, rivals: Sequence[Fit]) -> StandardErrors:
-    """Intervals of a fit, widened by the differences of its rivals' fits."""
+    """Standard errors of a fit, widened by the differences to the fits of rival models."""
     return standard_errors(found, cad).beside(
         found.solution.z, [(other.solution.z, standard_errors(other, cad)) for other in rivals]
     )
@@ -267,7 +267,7 @@ def _rival_fit(recordings: Sequence[Recording], rival: Candidate) -> Fit:
 
 
 def _paper_fit(recordings: Sequence[Recording], nominal: WheelGeometry) -> Fit | None:
-    """The paper's setting on the same recordings, to hold the result against; None without wheel rates."""
+    """Fit with the paper's setting on the same recordings, for comparison; None without wheel rates."""
     if not all(r.has_rates for r in recordings):
         return None
     setting = replace(PAPER, block_s=_VALIDATION_BLOCK_S)
@@ -275,7 +275,7 @@ def _paper_fit(recordings: Sequence[Recording], nominal: WheelGeometry) -> Fit |
 
 
 def _fold_done(report: Report, what: str, before: int, in_all: int, done: int, total: int) -> None:
-    """One more fold of a cross-validation, `before` of `in_all` being those of the others."""
+    """Report one more finished fold; `before` of `in_all` folds belong to other cross-validations."""
     report(WHOLE, before + done, in_all)
     report(what, done, total)
 
@@ -289,7 +289,7 @@ def _cross_validation(
     choice: Choice | None,
     report: Report,
 ) -> dict[str, Table]:
-    """Held-out errors by what was left out; what the choice of the model has left out is not fitted again."""
+    """Held-out errors for each kind of fold; reuses folds that the choice of the model has fitted."""
     tables: dict[str, Table] = {}
     runs = [(found.problem.setting, blocks, found.solution.z, "")]
     if paper is not None:

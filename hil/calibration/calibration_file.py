@@ -1,7 +1,7 @@
 """`calibration.toml`: a calibration as a versioned file that is never overwritten.
 
-Writing over an existing file first keeps the old one as `NAME.vN.toml` and names it, with its
-SHA-256, as the previous version, so that every state can be restored (`hil.calibration.versions`).
+Before an existing file is overwritten, it is copied to `NAME.vN.toml`; the new file names it, with its
+SHA-256, as the previous version. So every state can be restored (`hil.calibration.versions`).
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ WHEEL_ORDER: Literal["FL BL BR FR"] = "FL BL BR FR"
 
 
 class MadeFor(BaseModel):
-    """The servos that a calibration belongs to, wheel order FL, BL, BR, FR; empty for not recorded.
+    """Servos that a calibration was made with; lists in wheel order FL, BL, BR, FR.
 
-    Signs and zeros count: calibrated steering angles are measured from them. `servo_model` is None where the
-    bench file names none.
+    Signs and zeros are included because calibrated steering angles are measured from them. `servo_model` is
+    None where the bench file names none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -63,14 +63,14 @@ class CalibrationFile(BaseModel):
     """Content of `calibration.toml`, schema 1.
 
     Attributes:
-        recordings: that it was fitted to, by name: their motion, the digests of their files, their wheels
-            (`hil.datasets.copies.wheels_in_short`) and their weight.
-        verdict: of the validation run on the bench; empty for a calibration that had none.
+        recordings: recordings of the fit, by name: motion, digests of the files, wheels
+            (`hil.datasets.copies.wheels_in_short`) and weight.
+        verdict: verdict of the validation run on the bench; empty without such a run.
         made_for: servos that it was made with, None for recordings of unknown origin.
-        robot: whose it is; None where the bench is not known.
-        tyres: for `creep`, and for `dry-friction`; without, wheels are loaded alike.
-        driven_m: how far its recordings drove in each direction (`hil.calibration.excitation`); empty where
-            that is not known.
+        robot: robot that it belongs to; None where the bench is not known.
+        tyres: loads and creep ratio, for `creep` and `dry-friction`; None for equal loads.
+        driven_m: distance that its recordings drove in each direction (`hil.calibration.excitation`); empty
+            where it is not known.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -112,7 +112,7 @@ class CalibrationFile(BaseModel):
 
     @property
     def nominal_geometry(self) -> WheelGeometry:
-        """The geometry that it started from; the twist correction belongs to it."""
+        """Nominal geometry that the fit started from; the twist correction belongs to it."""
         return _geometry(self.nominal, self.tyres)
 
     @property
@@ -127,7 +127,7 @@ def _geometry(p: Parameters, tyres: Tyres | None) -> WheelGeometry:
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """Read and check a file; raises `ConfigError` with every problem at once."""
+    """Read and check a file; raises `ConfigError` that lists every problem."""
     tree = read_toml(path, remedy="run hil calibrate --out")
     if not tree.keys() & (CalibrationFile.model_fields.keys() - {"schema_version"}):
         raise ConfigError(
@@ -151,7 +151,7 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 
 def _check_possible(file: CalibrationFile, message: str) -> None:
-    """Raise `ConfigError` with every number that cannot be meant."""
+    """Raise `ConfigError` that lists every implausible number."""
     problems = list(impossible_nominal(file.nominal))
     if not problems:
         problems += impossible_wheels(file.parameters, file.nominal)
@@ -175,17 +175,17 @@ def calibration_file(
     made_for: MadeFor | None = None,
     robot: Identity | None = None,
 ) -> CalibrationFile:
-    """A calibration as the content of a file.
+    """Make the content of a calibration file from a result.
 
     Args:
-        result: what to keep.
+        result: calibration to store.
         created: date and time, ISO 8601.
-        software: versions that it was made with.
+        software: package versions that it was made with.
         version: number of this version.
-        previous: name and SHA-256 of the one before it.
-        verdict: of its validation run, empty without one.
-        made_for: servos that it belongs to.
-        robot: whose it is.
+        previous: name and SHA-256 of the version before.
+        verdict: verdict of its validation run, empty without one.
+        made_for: servos that it was made with.
+        robot: robot that it belongs to.
     """
     described: Any = result.to_json()
     tree: dict[str, Any] = {
@@ -222,10 +222,10 @@ def calibration_file(
 
 
 def save_calibration(path: Path, file: CalibrationFile) -> None:
-    """Write a file in one step: a reader sees the old content or the new one.
+    """Write a file atomically: a reader gets the old or the new content, never a part.
 
     Raises:
-        ConfigError: it cannot be written, or no reader would take it.
+        ConfigError: the file cannot be written, or its numbers are implausible, so that no reader accepts it.
     """
     _check_possible(file, f"{path}: not written, no robot can be driven with this calibration")
     text = tomli_w.dumps(file.model_dump(mode="python", by_alias=True, exclude_none=True))
@@ -244,15 +244,15 @@ def write_calibration(
     made_for: MadeFor | None = None,
     robot: Identity | None = None,
 ) -> CalibrationFile:
-    """Write a calibration; an older file of that name is kept under its version number.
+    """Write a calibration; an older file of that name is first kept under its version number.
 
     Args:
-        path: where to write.
-        result: what to write.
+        path: file to write.
+        result: calibration to write.
         created: date and time, ISO 8601.
-        software: versions that it was made with.
-        made_for: servos that it belongs to, where the bench is known.
-        robot: whose it is, where the bench is known.
+        software: package versions that it was made with.
+        made_for: servos that it was made with, where the bench is known.
+        robot: robot that it belongs to, where the bench is known.
     """
     previous, version = _keep_previous(path)
     file = calibration_file(
@@ -269,7 +269,7 @@ def write_calibration(
 
 
 def kept_path(path: Path, version: int) -> Path:
-    """Where a version of `path` is kept: `calibration.toml` -> `calibration.v3.toml`."""
+    """Path at which a version of `path` is kept: `calibration.toml` -> `calibration.v3.toml`."""
     return path.with_name(f"{path.stem}.v{version}{path.suffix}")
 
 
@@ -291,10 +291,10 @@ def _keep_previous(path: Path) -> tuple[dict[str, str], int]:
 
 
 def keep(path: Path) -> dict[str, str]:
-    """Keep the file in place under its version number as well; returns name and SHA-256.
+    """Copy the file in place to its version's path; return its name and SHA-256.
 
     Raises:
-        ConfigError: another content is kept under that number.
+        ConfigError: a file with other content is kept under that number, or the copy cannot be written.
     """
     old = read_calibration(path)
     kept, content = kept_path(path, old.version), path.read_bytes()

@@ -1,8 +1,9 @@
-"""Finds corrupt recordings: those that contradict themselves, or all others.
+"""Finds corrupt recordings: those that contradict themselves, or contradict all others.
 
-First each is held against itself: ground truth that leaps, wheels that do not move as those of one body,
-wrong signs. Then against the others: clocks, and what a robust fit leaves of it. What as many recordings show
-as do not is the robot, its bench file or the order of columns, and no recording is left out for it.
+Each recording is first checked by itself: jumps of the ground truth, wheels that do not move as those of one
+body, wrong signs. Then it is compared with the others: clock offset, and residual of a robust fit. An effect
+that at least half of the recordings show belongs to the robot, its bench file or the order of columns; no
+recording is left out for it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from hil.datasets.truth_jumps import Bools, fastest_m_s, find_jumps
 from hil.datasets.wrong_signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
 
 Reasons = dict[int, str]
-"""Why recordings are corrupt, by their index."""
+"""Reason why a recording is corrupt, by its index."""
 
 _STRIDE_S, _ROLLING = 0.5, 0.3
 _APART, _APART_WAY = 0.15, 0.1
@@ -37,11 +38,11 @@ _TIMES_FAR, _FAR_MISFIT = 25.0, 50.0
 
 
 def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]:
-    """Why recordings are corrupt, by name; the others are good.
+    """Reasons why recordings are corrupt, by name; recordings without a reason are good.
 
     Args:
         recordings: runs of one robot.
-        nominal: that robot on paper.
+        nominal: nominal robot.
     """
     found: Reasons = {}
     for look in (_leaping, _wrong_signs, _apart, _other_clocks, _misfits):
@@ -53,7 +54,7 @@ def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]
 
 
 def _leaping(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """Ground truth that leaps and stays there."""
+    """Find ground truth that jumps and stays at the new place."""
     out = {}
     for k, one in enumerate(recordings):
         speed_m_s = fastest_m_s(one.t_s, one.wheel_angle_rad, nominal.radius_m)
@@ -65,7 +66,7 @@ def _leaping(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
 
 
 def _wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """Columns of the other sign, in a few recordings only."""
+    """Find columns with the opposite sign, where only a minority of the recordings has them."""
     out = {k: RATES_AGAINST for k, one in enumerate(recordings) if rates_against_angles(one)}
     found = wrong_signs(recordings, nominal)
     if not found.of_all:
@@ -74,10 +75,10 @@ def _wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
 
 
 def _apart(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """Find wheels that do not move as those of one body, whatever it slips.
+    """Find wheels that do not move as those of one rigid body, whatever the slip.
 
-    That of a wheel that is stuck lacks 0.35 or more of all ways, wheels that are exchanged differ by 0.25 or
-    more; tolerances and wrong steering zeros of some degrees by 0.06.
+    With a stuck wheel 0.35 or more of the way contradicts, with exchanged wheels 0.25 or more; with
+    tolerances and wrong steering zeros of some degrees up to 0.06.
     """
     vectors = _strides(recordings, nominal)
     share = np.array([_apart_share(u, nominal) for u in vectors])
@@ -88,7 +89,7 @@ def _apart(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
 
 
 def _strides(recordings: Sequence[Recording], nominal: Nominal) -> list[Array]:
-    """Ways (s, 8), m, of the wheels of each recording in the strides in which they roll."""
+    """Wheel displacements (s, 8), m, of each recording in the 0.5 s strides in which the wheels roll."""
     blocks, out = reduce_recordings(recordings, _STRIDE_S), []
     for k, count in enumerate(blocks.counts):
         u = blocks.wheel_rad[k, :count] * np.repeat(nominal.geometry.radius_m, 2)
@@ -98,9 +99,9 @@ def _strides(recordings: Sequence[Recording], nominal: Nominal) -> list[Array]:
 
 
 def _apart_share(u: Array, nominal: Nominal, without: int | None = None) -> float:
-    """Share of the way in which wheel ways (s, 8) differ from those of any one body's wheels by much.
+    """Share of the way in which wheel displacements (s, 8) clearly fit no rigid-body motion.
 
-    `without` leaves a wheel out; nothing is asked of what differs by less.
+    `without` leaves one wheel out and applies the stricter limit `_TOGETHER` to the others.
     """
     kept = [i for i in range(8) if without is None or i // 2 != without]
     p = nominal.geometry.projection()[kept]
@@ -111,7 +112,7 @@ def _apart_share(u: Array, nominal: Nominal, without: int | None = None) -> floa
 
 
 def _which_wheel(u: Array, share: float, nominal: Nominal) -> str:
-    """What is wrong with wheels of ways (s, 8) that are apart in a share of their way."""
+    """Description of the fault of wheels (s, 8) that contradict each other in `share` of the way."""
     alone = [i for i in range(4) if _apart_share(u, nominal, without=i) < _APART_WAY]
     where = f"in {100 * share:.0f} % of the way"
     if len(alone) == 1:
@@ -125,7 +126,7 @@ def _which_wheel(u: Array, share: float, nominal: Nominal) -> str:
 
 
 def _turning(recordings: Sequence[Recording], nominal: Nominal) -> Array:
-    """Share (R,) of its way that each recording turns, by ground truth: lines do not tell wheels apart."""
+    """Share (R,) of turning in each recording's way by ground truth: lines do not tell wheels apart."""
     out = []
     for one in recordings:
         seconds = np.floor(one.truth_t_s - one.truth_t_s[0])
@@ -137,13 +138,13 @@ def _turning(recordings: Sequence[Recording], nominal: Nominal) -> Array:
 
 
 def _as_many_alike(wrong: Bools, turning: Array) -> bool:
-    """Whether of the recordings that could show it no fewer than two, and no fewer than not, are wrong."""
+    """Whether at least two, and at least half, of the recordings that could show the fault have it."""
     right = ~wrong & (turning >= 0.5 * turning[wrong].min())
     return int(wrong.sum()) >= max(2, int(right.sum()))
 
 
 def _other_clocks(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """Ground truth that is 0.15 s later or earlier than in most recordings, and right but for that."""
+    """Find ground truth with a clock offset 0.15 s off the typical one that is otherwise right."""
     late_s = np.array([np.nan if (s := time_offset_s(one)) is None else s for one in recordings])
     known = np.count_nonzero(np.isfinite(late_s))
     if known < _FEWEST:
@@ -166,10 +167,11 @@ def _other_clocks(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
 
 
 def _misfits(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """What a robust fit leaves beyond what slip does; a motion that is always read badly does not count.
+    """Find recordings that a robust fit misses by more than slip explains.
 
-    A burst of slip may turn a robot so that all of its further way is off by 15 times the typical error and
-    35 mm: from second to second the wheels still say where it goes, but for 0.05 of the way.
+    A motion that the fit misses in every recording does not count. A burst of slip may turn a robot so that
+    the rest of its way is off by 15 times the typical error and 35 mm; from second to second the wheels still
+    agree with the ground truth, but for 0.05 of the way.
     """
     if len(recordings) < _FEWEST:
         return {}

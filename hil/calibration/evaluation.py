@@ -1,13 +1,13 @@
 """Compares odometry with ground truth: the error table of recordings (`hil evaluate`).
 
-Two preprocessings. `paper` follows the authors' own (arXiv 2509.04016): receive stamps made
-increasing, servo signals interpolated onto the ground-truth stamps, the first 29 samples dropped,
-forward Euler, initial heading from one sample. The default integrates on the SE(2) group from wheel row to
-wheel row, whatever the ground truth saw meanwhile, and compares at the rows of the ground truth alone. It
-starts as `hil.datasets.initial_rest` says.
+Two kinds of preprocessing. `paper` is the authors' own (arXiv 2509.04016): receive stamps made increasing,
+servo signals interpolated to the ground-truth stamps, the first 29 samples dropped, forward Euler, initial
+heading from one sample. The default integrates on SE(2) from wheel row to wheel row, also in gaps of the
+ground truth, and compares only at rows of the ground truth. It starts at the pose of
+`hil.datasets.initial_rest`.
 
-Errors e_m and e_a are the paper's (arXiv 2509.04016): e_m is the largest absolute error of any
-repetition, e_a the mean over the repetitions of each one's largest absolute error.
+Errors e_m and e_a are the paper's (arXiv 2509.04016): e_m is the largest absolute error of any repetition,
+e_a the mean over the repetitions of each one's largest absolute error.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PAPER_DROPPED = 29
 
 @dataclass(frozen=True)
 class Track:
-    """Odometry and truth of one recording at the same instants.
+    """Odometry and ground truth of one recording at the same instants.
 
     Attributes:
         t_s: (n,), from 0.
@@ -51,15 +51,15 @@ class Track:
 
 @dataclass(frozen=True)
 class Steps:
-    """What odometry of a recording needs that no wheel parameter changes.
+    """Data for the odometry of a recording that do not depend on the wheel parameters.
 
     Attributes:
-        t_s: (n,) instants of the ground truth, and
-        truth: (n, 3) the poses there.
+        t_s: (n,) instants of the ground truth.
+        truth: (n, 3) poses at these instants.
         edges_s: (k + 1,) edges of the steps, s.
         wheel_rad: (k, 8) wheel vectors of each step, rad.
         start: (3,) pose at the first edge.
-        by_the_paper: integrated by forward Euler.
+        by_the_paper: whether to integrate by forward Euler.
     """
 
     t_s: Array
@@ -82,7 +82,7 @@ def track(
     Args:
         recording: the run.
         geometry: wheel parameters.
-        model: forward model; `paper` also takes the authors' preprocessing.
+        model: forward model; `paper` also uses the authors' preprocessing.
         signal: `position` or `velocity` (the lagging, truncated register).
         correction: 3x3 matrix that multiplies each body displacement, from a twist calibration.
     """
@@ -96,7 +96,7 @@ def track_all(
     signal: str = "position",
     correction: Array | None = None,
 ) -> list[Track]:
-    """`track` of several recordings, their wheels read in one go; `correction` (3, 3)."""
+    """`track` for several recordings, with one evaluation of the forward model; `correction` (3, 3)."""
     paper = model == "paper" and correction is None
     kind = "paper" if paper else "blocks" if model == "dry-friction" else "rows"
     every = [_steps(r, kind, signal) for r in recordings]
@@ -111,7 +111,7 @@ def track_all(
 
 
 def _along(recording: Recording, steps: Steps, motion: Array) -> Track:
-    """The track of body displacements (k, 3)."""
+    """Integrate body displacements (k, 3) of the steps to a track."""
     poses = integrate(steps.start, motion, "euler" if steps.by_the_paper else "exponential")
     if not steps.by_the_paper:
         poses = sample_path(steps.t_s, steps.edges_s, poses, motion)
@@ -119,7 +119,7 @@ def _along(recording: Recording, steps: Steps, motion: Array) -> Track:
 
 
 def _steps(recording: Recording, kind: str, signal: str) -> Steps:
-    """Steps from one of the wheel `rows` to the next, in `blocks` of 0.3 s, or as the `paper` has them."""
+    """Steps between wheel rows (`rows`), in 0.3 s blocks (`blocks`), or as the paper's (`paper`); cached."""
     known = recording.derived.get((kind, signal))
     if known is None:
         if kind == "paper":
@@ -144,20 +144,20 @@ def block_edges(at_s: Array, block_s: float) -> Array:
 
 
 def rolled(z: Array, wheel_rad: Array) -> Array:
-    """Wheel displacement vectors (n, 8), m, of raw wheel vectors (n, 8), rad, under parameters z."""
+    """Wheel displacement vectors (n, 8), m, from raw wheel vectors (n, 8), rad, and parameters z."""
     out = np.empty_like(wheel_rad)
     roll(turned_wheels(z), wheel_rad.T, out.T)
     return out
 
 
 def turned_wheels(z: Array) -> Array:
-    """(2, 4): r cos d and r sin d of each wheel of parameters z, by which `roll` turns its vectors."""
+    """Components r cos d and r sin d of each wheel, (2, 4), of parameters z; input of `roll`."""
     zero = z[12:16] if len(z) == 16 else np.zeros(4)
     return np.stack([z[8:12] * np.cos(zero), z[8:12] * np.sin(zero)])
 
 
 def roll(turned: Array, q: Array, u: Array) -> None:
-    """Put displacement vectors u, m, of raw wheel vectors q, rad, in place; (8,), or (8, n) for n steps."""
+    """Fill u with displacement vectors, m, from raw wheel vectors q, rad; (8,), or (8, n) for n steps."""
     for i in range(4):
         c, s, qx, qy = turned[0, i], turned[1, i], q[2 * i], q[2 * i + 1]
         u[2 * i], u[2 * i + 1] = c * qx + s * qy, c * qy - s * qx
@@ -184,7 +184,7 @@ def _paper_steps(recording: Recording, signal: str) -> Steps:
 
 
 def metrics(tracks: Sequence[Track]) -> dict[str, float]:
-    """Errors of one motion's repetitions; keys may be added, never renamed."""
+    """Errors over the repetitions of one motion; keys may be added, never renamed."""
     worst = np.array([np.max(np.abs(t.error), axis=0) for t in tracks])
     out: dict[str, float] = {"n": len(tracks)}
     for k, axis in enumerate(("x", "y", "theta")):

@@ -1,7 +1,7 @@
-"""Measures what recordings excite: how far in which direction, and whether their geometry is plausible.
+"""Measures the excitation of recordings: distance in each direction; and checks their geometry.
 
-A calibration is a 3x3 map of body motion at least. A direction that no recording drives on its own leaves
-a column of it to the prior and to what the other motions happen to imply, and odometry there extrapolates.
+A calibration contains at least a 3x3 map of body motion. If no recording drives a direction on its own, a
+column of this map is left to the prior and to what the other motions imply, and odometry extrapolates there.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ _WORTH_M, _WORTH_RAD = 0.3, 1.0
 _PLAUSIBLE = 0.2
 BENCH_FILE = "name the robot's bench file with --bench, or correct its [robot] section"
 OTHER_ROBOT = f"{BENCH_FILE}; else {LOOK}"
-"""What to do about ways that are not those of the robot: geometry first, then the columns."""
+"""Remedy where distances do not fit the robot: check the geometry first, then the columns."""
 
 
 @dataclass(frozen=True)
 class Driven:
-    """Ways driven in each body direction, independently of the other two.
+    """Distance driven in each body direction, independently of the other two.
 
     Attributes:
-        way_m: (3,) forward, sideways, turning; turning counts at the distance of the wheels, m. A circle
-            goes ahead and turns at once: one alone shows neither, one of each sense shows both.
-        total_m: whole way, m.
+        way_m: (3,) forward, sideways, turning, m; turning is converted with the distance of the wheels. A
+            circle drives ahead and turns at once: one circle excites neither alone, one of each sense both.
+        total_m: whole distance, m.
     """
 
     way_m: Array
@@ -43,7 +43,7 @@ class Driven:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Directions with less than a twentieth of the whole way."""
+        """Directions with less than a twentieth of the whole distance."""
         return tuple(
             name for name, way_m in zip(DIRECTIONS, self.way_m, strict=True) if way_m < _SHARE * self.total_m
         )
@@ -54,12 +54,12 @@ class Driven:
 
     @classmethod
     def from_json(cls, ways_m: Mapping[str, float]) -> Driven:
-        """The reverse of `to_json`."""
+        """Inverse of `to_json`."""
         return cls(np.array([ways_m[name] for name in DIRECTIONS]), ways_m["total"])
 
 
 def driven(blocks: Blocks, nominal: WheelGeometry) -> Driven:
-    """How far recordings drive in each direction, by nominal odometry."""
+    """Distance that recordings drive in each direction, by nominal odometry."""
     step_m = _steps(blocks, nominal).reshape(-1, 3) * _levers(nominal)
     size = np.sqrt(np.sum(step_m**2, axis=1))
     moving = size > 0.0
@@ -70,7 +70,7 @@ def driven(blocks: Blocks, nominal: WheelGeometry) -> Driven:
 
 
 def _levers(nominal: WheelGeometry) -> Array:
-    """(3,) m per unit of a body displacement: a turn counts at the wheels' distance from the middle."""
+    """(3,) metres per unit of a body displacement; a turn counts at the wheels' distance from the middle."""
     return np.array([1.0, 1.0, lever_m(nominal)])
 
 
@@ -82,10 +82,10 @@ def _steps(blocks: Blocks, nominal: WheelGeometry) -> Array:
 
 
 def mismatch(blocks: Blocks, nominal: Nominal) -> str:
-    """Why the geometry cannot be that of the robot that was recorded; empty where it can.
+    """Reason why the geometry cannot be that of the recorded robot; empty where it can.
 
-    Held against ground truth are the ways and the turns of the recordings, by their median, so that a bad
-    recording does not count.
+    Distances and turns of the recordings by wheels and by ground truth are compared by the median of their
+    ratio, so that a single bad recording does not count.
     """
     step = _steps(blocks, nominal.geometry) * blocks.real[..., None]
     truth = np.concatenate([blocks.start[:, None], blocks.truth], axis=1)
@@ -107,7 +107,7 @@ def mismatch(blocks: Blocks, nominal: Nominal) -> str:
 
 
 def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
-    """Refuse to calibrate with the geometry of another robot; raises `DataError`."""
+    """Refuse recordings that contradict the geometry; raises `DataError`."""
     found = mismatch(blocks, nominal)
     if found:
         raise DataError(
@@ -119,12 +119,12 @@ def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
 
 
 def undriven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> dict[str, tuple[str, ...]]:
-    """Which motions go where a calibration's recordings did not, and in which directions.
+    """Motions, with the directions, that drive where the recordings of a calibration did not.
 
     Args:
-        blocks: recordings to look at.
-        nominal: geometry on paper.
-        known: what the calibration's own recordings drove.
+        blocks: recordings to check.
+        nominal: nominal geometry.
+        known: distances of the calibration's own recordings.
     """
     ways_m = np.abs(_steps(blocks, nominal)).sum(axis=1) * _levers(nominal)
     out: dict[str, tuple[str, ...]] = {}

@@ -1,10 +1,9 @@
 """Fits a parameter vector to recordings: robust weights, continuation, then the chosen method.
 
-The dry-friction model has bad minima, so it is fitted through a chain of easier problems: friction
-exponent 2 (least squares), 1.5, 1.2, 1 (Coulomb), each started at the last one's solution.
-Weights per recording come from a Levenberg-Marquardt pre-fit
-that all methods share; stochastic methods search the least-squares problem and are carried through
-the chain by Levenberg-Marquardt.
+The dry-friction model has bad minima. So it is fitted through a chain of easier problems: friction exponent 2
+(least squares), 1.5, 1.2, 1 (Coulomb), each started at the solution before. The weights per recording come
+from a Levenberg-Marquardt pre-fit that all methods share. Stochastic methods search the least-squares
+problem; Levenberg-Marquardt then follows the chain from their result.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _NEAR = 0.05
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted problem; `solution.z` are the parameters, `weights` one per recording."""
+    """A fitted problem: `solution.z` are the parameters, `problem.weights` one weight per recording."""
 
     problem: Problem
     solution: Solution
@@ -49,7 +48,7 @@ class Fit:
 
 
 def chain(setting: Setting) -> Sequence[float]:
-    """Friction exponents to go through; one stage for the linear models."""
+    """Sequence of friction exponents to fit through; one stage for the linear models."""
     return _CHAIN if setting.model == "dry-friction" else (2.0,)
 
 
@@ -67,14 +66,14 @@ def fit(
 
     Args:
         blocks: reduced recordings.
-        setting: what is fitted and how.
+        setting: what to fit, and how.
         nominal: start, prior mean and centre of the box.
         method: `lm`, `interior-point`, `ga` or `pso`.
-        seed: of the stochastic methods.
+        seed: seed of the stochastic methods.
         start: parameters (m,), for the short fit of a cross-validation's fold. Only the paper's cost, which
             is then iterated to its end, starts there; a robust fit goes through the chain from nominal,
-            because a few steps from a solution that knows the left-out runs would not forget them.
-        progress: generations of the stochastic methods.
+            because a few steps from a solution fitted to the left-out runs, too, would stay near it.
+        progress: called with the generations of the stochastic methods.
     """
     problem = Problem(blocks, setting, nominal)
     if start is not None:
@@ -110,7 +109,10 @@ def fit(
 
 
 def _settled(found: Fit) -> Fit:
-    """A fit that is near its end, or goes on to it, where the objective says what a standard error is."""
+    """The fit, iterated further where it is not yet near its minimum.
+
+    Applies only where the objective has a scale (`sigma`) and no box, so that standard errors are defined.
+    """
     problem, solution = found.problem, found.solution
     if solution.converged or problem.setting.sigma is None or problem.setting.bounds is not None:
         return found
@@ -130,9 +132,10 @@ def _settled(found: Fit) -> Fit:
 
 
 def _linear(stage: Problem) -> Problem:
-    """At exponent 2 the dry-friction model is the exact one, but for unequal loads, which weigh wheels there.
+    """The exact (linear) model in place of dry friction at exponent 2.
 
-    As a start for the next exponent it is near enough without them.
+    Both are the same but for unequal loads, which weight the wheels in dry friction. As a start for the next
+    exponent the model without loads is close enough.
     """
     if stage.setting.model != "dry-friction":
         return stage
@@ -145,8 +148,8 @@ def _linear(stage: Problem) -> Problem:
 def _robust_prefit(problem: Problem, rounds_at_ends: int = _REWEIGHTINGS, last_limit: int = 10) -> Fit:
     """Chain of Levenberg-Marquardt fits with Cauchy weights updated along the way.
 
-    Where a box stands in for the prior, directions that the data leave open are flat: the last fit then goes
-    on to its end, so that the box decides them and not the number of steps.
+    Where a box replaces the prior, directions that the data do not determine are flat. The last fit then runs
+    to its end, so that the box decides them and not the number of steps.
     """
     last_limit = last_limit if problem.setting.bounds is None else _STEPS_IN_A_BOX
     z, weights = problem.nominal, problem.weights
@@ -173,10 +176,10 @@ def _robust_prefit(problem: Problem, rounds_at_ends: int = _REWEIGHTINGS, last_l
 
 
 def _explains_better(one: Fit, other: Fit) -> bool:
-    """Whether a fit explains the typical recording clearly better than another, and all of them together.
+    """Whether a fit explains the typical recording clearly better than another one, and all together.
 
-    Unweighted costs count: both models have the same parameters and prior. Robust weights may settle on a
-    half of the recordings, which dry friction reads well at the cost of the other half.
+    Unweighted costs are compared: both models have the same parameters and prior. Robust weights could settle
+    on one half of the recordings, which dry friction fits well at the cost of the other half.
     """
     costs, others = (f.problem.recording_costs(f.solution.z) for f in (one, other))
     typical = float(np.median(others))
@@ -185,7 +188,7 @@ def _explains_better(one: Fit, other: Fit) -> bool:
 
 
 def _fold(problem: Problem, start: Array) -> Fit:
-    """A fold of a cross-validation: fewer iterations, the same model as the fit on all recordings."""
+    """Fit of a cross-validation fold: fewer iterations, the same model as the fit on all recordings."""
     if not problem.setting.robust:
         return Fit(problem, levenberg_marquardt(problem, problem.clip(start), limit=60))
     fixed = Problem(
@@ -197,7 +200,7 @@ def _fold(problem: Problem, start: Array) -> Fit:
 
 
 def twist_between(found: Fit, nominal: WheelGeometry) -> Array:
-    """C (3, 3) that deploys a fit of any model with nominal odometry.
+    """Correction C (3, 3) that applies a fit of any model through nominal odometry.
 
     Least squares of the fitted model's body motion on the nominal model's, over the recordings.
     """
@@ -208,10 +211,10 @@ def twist_between(found: Fit, nominal: WheelGeometry) -> Array:
 
 
 def twist_correction(z: Array, nominal: WheelGeometry) -> Array:
-    """C (3, 3): actual body twist = C times the twist that nominal odometry reports.
+    """C (3, 3): actual body twist = C times the twist of nominal odometry.
 
-    All that rigid-body commands can show about the parameters;
-    deployed with nominal inverse kinematics it avoids the directions that the data leave free.
+    C is all that rigid-body commands can reveal about the parameters. Applied with nominal inverse kinematics
+    it avoids the directions that the data do not determine.
     """
     per_wheel = nominal.projection() / np.repeat(nominal.radius_m, 2)[:, None]
     return np.asarray(linear_matrix(z, "exact") @ per_wheel, dtype=np.float64)

@@ -1,9 +1,9 @@
 """Computes which parameters the data determine: singular values, directions, intervals.
 
-The choice of a model adds uncertainty: other contact laws, wheel loads and tyres. A fit believes one law,
-one share of the weight on each wheel and one kind of tyre. Were another one true, its parameters would be
-off although its residuals look fine. How far is linear in how much another model reads the same wheels
-differently, and how much of another model there is, the residuals say, within limits.
+The choice of a model adds uncertainty: other contact laws, wheel loads and tyres. A fit assumes one law, one
+distribution of the loads and one kind of tyre. If another one were true, the parameters would be off although
+the residuals look fine. The size of this error is linear in the difference between the models' body motions
+and in the share of the other model; the residuals limit that share.
 """
 
 from __future__ import annotations
@@ -34,14 +34,13 @@ _LEAST_SHOWN = 1e-14
 
 
 def model_freedom(fit: Fit, inverse: Array) -> Array:
-    """Covariance (m, m) that the choice of the forward model leaves in the parameters.
+    """Covariance (m, m) of the parameters due to the choice of the forward model.
 
-    Each other model is mixed in by a share, with a standard deviation of one before the data. The shares are
-    estimated from what the fit left over; their mean square goes into the parameters as the fit would have
-    taken it up.
+    Each other model is mixed in with a share whose prior standard deviation is one. The shares are estimated
+    from the residuals of the fit; their mean square is propagated to the parameters through the fit.
 
     Args:
-        fit: judged.
+        fit: fit to analyse.
         inverse: (m, m) inverse of its total information.
     """
     problem, z = fit.problem, fit.solution.z
@@ -65,7 +64,7 @@ def _pull(problem: Problem, z: Array) -> Array:
 
 
 def _other_motions(problem: Problem, z: Array) -> Iterator[Array]:
-    """Body motion (n, 3) of the same wheels as every other model reads them."""
+    """Body motions (n, 3) of the same wheels by each of the other models."""
     law, tyres = problem.setting.model, problem.tyres
     wheel_rad = problem.blocks.wheel_rad.reshape(-1, 8)
     p, u = projection(z[0:4], z[4:8]), rolled(z, wheel_rad)
@@ -80,7 +79,7 @@ def _other_motions(problem: Problem, z: Array) -> Iterator[Array]:
 
 
 def _moved(law: str, p: Array, u: Array, tyres: WheelGeometry, weighed: bool = False) -> Array:
-    """Body motion (n, 3) under a law; only where `weighed` do loads count for laws other than creep."""
+    """Body motion (n, 3) under a law; `weighed` makes loads count for laws other than creep."""
     load = tyres.load if weighed or law == "creep" else np.ones(4)
     if law == "creep":
         return creep_motion(p, u, load, tyres.creep_ratio)
@@ -94,17 +93,17 @@ def _moved(law: str, p: Array, u: Array, tyres: WheelGeometry, weighed: bool = F
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Spectrum of the fit's sensitivity.
+    """Spectrum of the fit's sensitivity to the parameters.
 
     Attributes:
         singular_values: RMS pose error (mm and mrad mixed) per 1 % of a length or 1 deg of an offset.
         information: data information over prior information per direction, largest first.
         determined: number of directions whose information exceeds the prior's.
-        whatever_the_model: how many plain kinematics determine; what goes beyond, only the law of contact
-            of the forward model claims.
-        directions: the determined ones in words.
+        whatever_the_model: number of directions that plain kinematics determine; the others depend on the
+            contact law of the forward model.
+        directions: the determined directions in words.
         at_bound: parameters on the box, or so near to it that the box decides them.
-        unobservable: parameters whose spread the data reduce by less than a tenth.
+        unobservable: parameters whose standard deviation the data reduce by less than a tenth.
         std_ratio: (m,) posterior over prior standard deviation.
     """
 
@@ -148,7 +147,7 @@ def identifiability(fit: Fit) -> Identifiability:
 
 
 def _without_a_law(fit: Fit) -> int:
-    """How many directions the data determine when wheels that contradict each other are just averaged."""
+    """Number of determined directions when contradicting wheels are just averaged."""
     problem = fit.problem
     plain = Problem(problem.blocks, replace(problem.setting, model="exact"), problem.tyres)
     spread = problem.prior_std
@@ -159,8 +158,8 @@ def _without_a_law(fit: Fit) -> int:
 def data_information(problem: Problem, z: Array) -> Array:
     """Information matrix (m, m) of the data alone, in units of the stated residual scales.
 
-    The paper's cost has no scale; its residuals are taken as 4 mm and 6 mrad with a few effective
-    observations per recording, so that both settings can be held against the same prior.
+    The paper's cost has no scale. Its residuals are taken as 4 mm and 6 mrad with a few effective
+    observations per recording, so that both settings can be compared with the same prior.
     """
     if problem.setting.sigma is not None:
         _, _, hessian = problem.gradient_terms(z)
@@ -173,7 +172,7 @@ def data_information(problem: Problem, z: Array) -> Array:
 
 
 def _in_words(direction: Array, unit: Array) -> str:
-    """The largest parts of a direction, for example `+0.52 r_FL +0.49 r_BR -0.35 delta0_BL`."""
+    """Largest components of a direction, for example `+0.52 r_FL +0.49 r_BR -0.35 delta0_BL`."""
     parts = direction / unit
     parts = parts / np.linalg.norm(parts)
     order = np.argsort(-np.abs(parts))[:_DIRECTION_NAMES]
@@ -182,11 +181,13 @@ def _in_words(direction: Array, unit: Array) -> str:
 
 @dataclass(frozen=True)
 class StandardErrors:
-    """Standard errors (recordings, motions, prior, play, forward model), and a quantile for 95 % intervals.
+    """Standard errors, and the quantile for 95 % intervals.
+
+    They combine the spread over recordings and motions, the prior, the steering play and the forward model.
 
     Attributes:
         covariance: (m, m) of the parameters.
-        twist_slopes: (m, 3, 3) derivative of the twist correction by each.
+        twist_slopes: (m, 3, 3) derivative of the twist correction by each parameter.
         quantile: half width of a 95 % interval over its standard error.
     """
 
@@ -207,11 +208,11 @@ class StandardErrors:
         return np.asarray(np.sqrt(variance), dtype=np.float64)
 
     def beside(self, z: Array, others: Sequence[tuple[Array, StandardErrors]]) -> StandardErrors:
-        """Standard errors where other forward models may be as right: each counts as likely as this one.
+        """Standard errors where other forward models may be as right; each counts as equally likely.
 
         Args:
-            z: (m,) parameters found.
-            others: parameters (m,) that the others find, and their standard errors.
+            z: (m,) fitted parameters.
+            others: fitted parameters (m,) of the other models, and their standard errors.
         """
         total = self.covariance + sum(
             (one.covariance + np.outer(found - z, found - z) for found, one in others),
@@ -221,10 +222,10 @@ class StandardErrors:
 
 
 def standard_errors(fit: Fit, nominal: WheelGeometry) -> StandardErrors:
-    """Standard errors by the spread over recordings and over motions, linear at the solution.
+    """Standard errors by the spread over recordings and over motions, linearised at the solution.
 
-    The naive (J'J)^-1 would be too small by up to fifty times: errors along a recording are one
-    random walk. What a forward model reads wrongly, it reads wrongly in all recordings of a motion.
+    The naive (J'J)^-1 would be too small by up to fifty times: errors along a recording are one random walk.
+    A systematic error of the forward model repeats in all recordings of a motion.
     """
     problem, z = fit.problem, fit.solution.z
     _, je, jj = problem.normal_terms(z)
@@ -254,13 +255,13 @@ def standard_errors(fit: Fit, nominal: WheelGeometry) -> StandardErrors:
 
 
 def group_shift(total: Array, own: Array, pull: Array) -> Array:
-    """What a group of recordings adds to the spread of z, shape (m,); the sum of squares is the covariance.
+    """Contribution (m,) of a group of recordings to the spread of z; the covariance sums their squares.
 
-    To leave the group out would move z by (A - S)^-1 J'e, with total information A and S of the group. Of a
-    combination that one group alone shows, this says far too much: there the fit follows the noise of the
-    group. A^-1/2 (I - M)^-1/2 A^-1/2 J'e, with M = A^-1/2 S A^-1/2, has no bias where all errors are
-    independent and alike (Bell and McCaffrey, "Bias reduction in standard errors for linear regression with
-    multi-stage samples", 2002).
+    Leaving the group out would move z by (A - S)^-1 J'e, with total information A and the group's S. For a
+    combination of parameters that only one group determines, this is far too large: there the fit follows the
+    noise of the group. A^-1/2 (I - M)^-1/2 A^-1/2 J'e, with M = A^-1/2 S A^-1/2, has no bias where all errors
+    are independent and alike (Bell and McCaffrey, "Bias reduction in standard errors for linear regression
+    with multi-stage samples", 2002).
 
     Args:
         total: (m, m) information A.
@@ -276,33 +277,33 @@ def group_shift(total: Array, own: Array, pull: Array) -> Array:
 
 
 def _prior_pull(problem: Problem, inverse: Array) -> Array:
-    """Covariance (m, m) that the prior's own uncertainty leaves in z.
+    """Covariance (m, m) of z due to the uncertainty of the prior mean.
 
     The estimate is drawn towards the prior mean by A^-1 L (z0 - z), with prior precision L and total
-    information A; z0 - z has covariance t^2 L^-1 with the workshop's tolerance t: t^2 A^-1 L A^-1.
+    information A; z0 - z has covariance t^2 L^-1 with the workshop's tolerance t. This gives t^2 A^-1 L A^-1.
     """
     pulled = inverse @ np.diag(problem.prior_precision()) @ inverse
     return np.asarray(problem.setting.tolerance**2 * pulled, dtype=np.float64)
 
 
 def play_shift(problem: Problem, inverse: Array, information: Array, own: Array) -> Array:
-    """How z (m,) moves per radian that each steering angle is off in some recordings, shape (m, 4).
+    """Change of z per radian of error in each steering angle in some recordings, shape (m, 4).
 
     Args:
         problem: weights of the recordings.
         inverse: (m, m) inverse of the total information.
         information: (R, m, m) of each recording, unweighted.
-        own: (R,) which recordings.
+        own: (R,) mask of these recordings.
     """
     share = np.einsum("r,rab->ab", problem.weights[own], information[own])
     return np.asarray(inverse @ share[:, 12:16], dtype=np.float64)
 
 
 def _play(problem: Problem, inverse: Array, information: Array) -> Array:
-    """Covariance (m, m) of wheels that stand anywhere in their play, but alike in a motion's recordings.
+    """Covariance (m, m) of z due to steering play, constant within the recordings of a motion.
 
-    A steering angle that is off by d in one motion acts there like a zero that is off by d; d is uniform in
-    the play.
+    A steering angle that is off by d in one motion acts there like a zero that is off by d; d is uniform
+    within the play.
     """
     size = len(inverse)
     covariance = np.zeros((size, size))

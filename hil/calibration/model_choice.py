@@ -1,14 +1,14 @@
-"""Chooses forward model, wheel loads and tyre ratio by recordings that the fit did not see.
+"""Chooses forward model, wheel loads and tyre ratio by recordings held out of the fit.
 
-On the emulated wall's own plant creep under unequal loads predicts best, in another physics and on the
-recordings of the real robot dry friction does (`docs/calibration.md`). No residual shows which: a wrong
-model fits what it was fitted to about as well. So every candidate is fitted without one repetition at a time
-and judged on that one.
+For the simulated plant of the emulated wall, creep under unequal loads predicts best; with another physics
+and on the recordings of the real robot, dry friction does (`docs/calibration.md`). Residuals do not show
+which: a wrong model fits its own recordings about as well. So every candidate is fitted without one
+repetition at a time and judged on that repetition.
 
-A repetition of what the fit has seen shows only half of it. Dry friction reads wheels that contradict each
-other always in the same way to half a millimetre, and to 4 to 6 mm once they are driven with other
-parameters. Who will drive with the result groups what is to be left out together: all that one set of
-parameters drove, or all of one motion, which ranks the models as the next round does.
+Repetitions of motions that are in the fit show only half of the error. Dry friction predicts wheels that
+always contradict each other in the same way to half a millimetre, but to 4 to 6 mm once they are driven with
+other parameters. A caller that will drive with the result can group what is left out together: all recordings
+driven with one set of parameters, or all of one motion. This ranks the models as the next round does.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _STEPS = 100
 
 @dataclass(frozen=True)
 class Candidate:
-    """A way to read the wheels: its name, setting with forward model, geometry with loads and ratio."""
+    """A model to choose from: name, setting with forward model, geometry with loads and tyre ratio."""
 
     name: str
     setting: Setting
@@ -55,15 +55,15 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Choice:
-    """The candidate that predicts best, and how all did.
+    """The candidate that predicts best, and the errors of all.
 
     Attributes:
-        best: the one chosen.
-        held_out_m: position RMSE on recordings left out of the fit, mean, by candidate.
-        confidence: share of bootstrap draws over recordings in which it predicts better than the runner-up.
-        rivals: candidates that may be as right: no clearly worse in these draws.
-        groups: label of each recording; what shares one was left out together.
-        runs: of each recording, the odometry by the best one's fit without its group.
+        best: chosen candidate.
+        held_out_m: mean position RMSE on recordings left out of the fit, by candidate.
+        confidence: share of bootstrap draws over recordings in which `best` beats the runner-up.
+        rivals: candidates that may be as right: not clearly worse in these draws.
+        groups: label of each recording; recordings with the same label were left out together.
+        runs: odometry of each recording by the best candidate's fit without its group.
     """
 
     best: Candidate
@@ -84,16 +84,16 @@ class Choice:
         )
 
     def to_json(self) -> dict[str, object]:
-        """Name of the best, error by candidate, and how clear it was."""
+        """Name of the best candidate, error by candidate, and the confidence."""
         return {"best": self.best.name, "held_out_rmse_m": self.held_out_m, "confidence": self.confidence}
 
 
 def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...]:
-    """The forward models; with loads by statics and with equal ones, creep also on tyres of other stiffness.
+    """Candidate models: exact; dry friction and creep with nominal and equal loads; creep also by tyre ratio.
 
     Args:
-        setting: how to fit, whatever its forward model.
-        nominal: the robot on paper, with its loads by statics and its tyre ratio.
+        setting: how to fit; its forward model is replaced.
+        nominal: nominal geometry with loads by statics and tyre ratio.
     """
     creep = replace(setting, model="creep", choose_model=False)
     dry = replace(creep, model="dry-friction")
@@ -114,7 +114,7 @@ def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...
 
 
 def can_choose(recordings: Sequence[Recording]) -> bool:
-    """Whether something can be left out: some motion was repeated."""
+    """Whether recordings can be left out: at least one motion was repeated."""
     return len(set(repetition_numbers([r.motion for r in recordings]))) > 1
 
 
@@ -126,14 +126,14 @@ def choose(
     groups: Sequence[object] = (),
     report: Report = silent,
 ) -> Choice:
-    """Fit every candidate without one group of recordings at a time, and judge it on these.
+    """Fit every candidate without one group of recordings at a time, and judge it on the group left out.
 
     Args:
         recordings: at least two repetitions.
         among: candidates.
-        seed: of the bootstrap.
-        groups: label of each recording; those of one label are left out together. Repetitions where it is
-            empty or has one label only.
+        seed: seed of the bootstrap.
+        groups: label of each recording; those of one label are left out together. By repetition where it is
+            empty or has only one label.
         report: progress.
 
     Raises:
@@ -159,15 +159,15 @@ def choose(
 
 
 def apart_m(found: Fit, rivals: Sequence[Fit], nominal: WheelGeometry) -> dict[str, float]:
-    """How far models that explain the recordings alike end apart on other motions.
+    """Distance between the end points of models that explain the recordings alike, on other motions.
 
     Args:
-        found: the fit of the chosen model.
-        rivals: those of models that may be as right.
-        nominal: by which the wheels are commanded.
+        found: fit of the chosen model.
+        rivals: fits of models that may be as right.
+        nominal: geometry that the wheels are commanded with.
 
     Returns:
-        By motion of a metre, the largest distance from where the chosen model ends, m.
+        For each motion of one metre, the largest distance from the chosen model's end point, m.
     """
     by_nominal = nominal.projection() / np.repeat(nominal.radius_m, 2)[:, None]
     ends = {}
@@ -181,7 +181,7 @@ def apart_m(found: Fit, rivals: Sequence[Fit], nominal: WheelGeometry) -> dict[s
 
 
 def _end_of(fit: Fit, wheel_rad: Array) -> Array:
-    """Where odometry by a fit ends, (2,), m, after wheel vectors (n, 8), rad."""
+    """End point (2,), m, of odometry by a fit, after wheel vectors (n, 8), rad."""
     u = rolled(fit.geometry.vector(), wheel_rad)
     motion = twist_of_vectors(fit.geometry, u, fit.problem.setting.model)
     return integrate(np.zeros(3), motion, "exponential")[-1, :2]

@@ -2,10 +2,10 @@
 
 A parameter vector z holds x_1..4, y_1..4, r_1..4 and, with offsets, the steering zeros
 d_1..4 (`WheelGeometry.vector`). With wheel vectors q that do not depend on z,
-u_i = r_i R(-d_i) q_i, and the motion is what the contacts let happen (`hil.robot.contact_laws`), for the
-model `paper` a mean. Least squares is dry friction at exponent 2.
+u_i = r_i R(-d_i) q_i, and the motion follows from a law of contact (`hil.robot.contact_laws`), or from a mean
+for the model `paper`. Least squares is dry friction at exponent 2.
 
-The functions are written for numbers and for arrays (n,) alike, as those of the contact laws are.
+Like those of the contact laws, the functions work on numbers and on arrays (n,).
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from hil.robot.kinematics import WheelGeometry, forward_matrix
 PAPER, FRICTION, CREEP = 0, 1, 2
 COLD, WARM, KNOWN = 0, 1, 2
 _NEAR = 2e-3
-"""Parameters closer than this (m or rad) start from the last solution."""
+"""Within this distance of the last parameters (m or rad) the last solution is the start."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """What decides the motion: `kind` (PAPER, FRICTION or CREEP), loads (4,), exponent, tyre ratio."""
+    """Law of the motion: `kind` (PAPER, FRICTION or CREEP), loads (4,), exponent, creep ratio."""
 
     kind: int
     load: Array
@@ -49,12 +49,11 @@ class Law:
 
     @classmethod
     def named(cls, name: str, tyres: WheelGeometry, power: float = 1.0) -> Law:
-        """The law of a forward model.
+        """Law of a forward model.
 
         Args:
-            name: of the model.
-            tyres: loads, which `dry-friction` and `creep` ask for, and creep ratio; its wheel parameters do
-                not count.
+            name: name of the forward model.
+            tyres: geometry of which only the loads (`dry-friction`, `creep`) and the creep ratio are used.
             power: exponent of dry friction.
         """
         if name == "exact":
@@ -66,7 +65,7 @@ class Law:
 def settled(
     kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, last: Triple, start: int
 ) -> Triple:
-    """Body motion of u (8, ...), from a last solution where `start` is WARM, or that itself if KNOWN."""
+    """Body motion of u (8, ...); starts from `last` if `start` is WARM, and returns `last` if KNOWN."""
     if start == KNOWN:
         return last
     if kind == PAPER:
@@ -82,7 +81,7 @@ def settled(
 
 
 def mean_motion(z: Array, u: Array) -> Triple:
-    """The paper's mean velocities and K_i, of wheel vectors u (8, ...)."""
+    """Body motion of wheel vectors u (8, ...) by the paper's mean velocities and K_i."""
     vx, vy, turn = 0.0 * u[0], 0.0 * u[0], 0.0 * u[0]
     for i in range(4):
         x, y = z[i], z[4 + i]
@@ -94,10 +93,11 @@ def mean_motion(z: Array, u: Array) -> Triple:
 def respond(
     kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, b: Triple, out: Array
 ) -> None:
-    """Put the derivative of the motion b by z in place: `out` (3, m), or (3, m, n) for n steps.
+    """Fill `out` (3, m), or (3, m, n) for n steps, with the derivative of the motion b by z.
 
-    Implicit: at b the forces P_i' f_i balance, and with their slope H, H db = -(dG/dz) dz. The scale of dry
-    friction's smoothing is treated as fixed: its influence on the minimiser is of second order.
+    By the implicit function theorem: at b the forces P_i' f_i balance; with their derivative H by b, H db =
+    -(dG/dz) dz. The scale of dry friction's smoothing is treated as fixed: its influence on the minimiser is
+    of second order.
     """
     if kind == PAPER:
         mean_response(z, u, out)
@@ -130,10 +130,10 @@ def contact_response(
     creeping: bool,
     out: Array,
 ) -> None:
-    """Columns of contact i in `out` (3, m, ...): its force changes with its slip, its torque by its lever.
+    """Fill the columns of contact i in `out` (3, m, ...), from the changes of its force and lever.
 
-    Creep stiffness follows the wheel: it turns with the zero and weakens with the way rolled, as the radius
-    grows. `contact` is its stiffness, slip and force.
+    Creep stiffness belongs to the wheel: it turns with the steering zero, and weakens with the distance
+    rolled, which grows with the radius. `contact` is the contact's stiffness, slip and force.
     """
     c, e, force = contact
     ux, uy, r = u[2 * i], u[2 * i + 1], z[8 + i]
@@ -156,7 +156,7 @@ def contact_response(
 def put_column(
     z: Array, i: int, inverse: Symmetric, mx: Array, my: Array, torque: Array, out: Array, k: int
 ) -> None:
-    """Put the change of the motion in place when the force of contact i changes by (mx, my)."""
+    """Fill column k of `out` with the change of the motion for a change (mx, my) of contact i's force."""
     mt = z[i] * my - z[4 + i] * mx + torque
     out[0, k] = -(inverse[0] * mx + inverse[1] * my + inverse[2] * mt)
     out[1, k] = -(inverse[1] * mx + inverse[3] * my + inverse[4] * mt)
@@ -164,7 +164,7 @@ def put_column(
 
 
 def mean_response(z: Array, u: Array, out: Array) -> None:
-    """As `respond`, for `mean_motion`; `out` (3, m, ...)."""
+    """`respond` for `mean_motion`; `out` (3, m, ...)."""
     for i in range(4):
         x, y, r, ux, uy = z[i], z[4 + i], z[8 + i], u[2 * i], u[2 * i + 1]
         far = x * x + y * y
@@ -181,12 +181,12 @@ def mean_response(z: Array, u: Array, out: Array) -> None:
 
 @dataclass
 class Motions:
-    """Motion of blocks as a function of z; it remembers the last one, since a fit asks for neighbouring z.
+    """Motion of blocks as a function of z; caches the last solution as a start for neighbouring z.
 
     Attributes:
-        law: of the contacts.
+        law: law of contact.
         wheel_rad: (n, 8) raw wheel vectors, rad.
-        last: (3, n) the last motion.
+        last: (3, n) last motion.
     """
 
     law: Law
@@ -198,7 +198,7 @@ class Motions:
         self.last = np.zeros((3, len(self.wheel_rad)))
 
     def start(self, z: Array) -> int:
-        """What the last solution is worth at z (m,): COLD, WARM or KNOWN. From now on it is that of z."""
+        """Use of the last solution for z (m,): COLD, WARM or KNOWN; z then counts as the last parameters."""
         at, self._at = self._at, z.copy()
         if at is None or len(at) != len(z):
             return COLD
@@ -212,7 +212,7 @@ class Motions:
         return np.ascontiguousarray(self.last.T)
 
     def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """Motion (n, 3) and its derivative (3, len(z), n)."""
+        """Body displacement (n, 3) per block and its derivative (3, len(z), n)."""
         u, law = self._settle(z), self.law
         out = np.empty((3, len(z), len(self.wheel_rad)))
         respond(law.kind, law.load, law.power, law.ratio, z, u, tuple(self.last), out)
@@ -232,7 +232,7 @@ def make_model(name: str, wheel_rad: Array, tyres: WheelGeometry, power: float =
 
 
 def linear_matrix(z: Array, model: str = "exact") -> Array:
-    """M(z) (3, 8): body displacement of raw wheel vectors, for the linear models."""
+    """M(z) (3, 8): map from raw wheel vectors to body displacement, for the linear models."""
     rolled = np.empty((8, 8))
     roll(turned_wheels(z), np.eye(8), rolled)
     return np.asarray(forward_matrix(z[0:4], z[4:8], model) @ rolled, dtype=np.float64)

@@ -1,8 +1,8 @@
-"""The wheel parameters in a calibration file, and whether they can belong to the robot that it names.
+"""Wheel parameters of a calibration file, and checks that they are plausible for the nominal robot.
 
-A calibration moves wheels by millimetres. What lies far beyond that is a damaged or mistyped file, and a
-robot that is driven with it goes somewhere else. Any workshop's tolerances lie within the limits, and so does
-whatever the fit's own bounds permit.
+A calibration moves wheels by millimetres. Values far beyond that come from a damaged or mistyped file, and a
+robot driven with them goes somewhere else. The limits include any workshop's tolerances and everything that
+the bounds of the fit permit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Parameters(BaseModel):
 
 
 class Tyres(BaseModel):
-    """The wheels as given to the forward model `creep`; see `hil.robot.kinematics.WheelGeometry`."""
+    """Loads and creep ratio for the contact models; see `hil.robot.kinematics.WheelGeometry`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     load: Four
@@ -49,7 +49,7 @@ class Tyres(BaseModel):
 
 
 def impossible_nominal(paper: Parameters) -> Iterator[str]:
-    """What cannot be a robot on paper: dotted key, what is there, what was expected."""
+    """Implausible nominal parameters, one message each: dotted key, value, expected range."""
     for name, values in (("x_w_m", paper.x_w_m), ("y_w_m", paper.y_w_m)):
         for i, value in enumerate(values):
             if not abs(value) <= _FARTHEST_M:
@@ -61,7 +61,7 @@ def impossible_nominal(paper: Parameters) -> Iterator[str]:
 
 
 def impossible_wheels(found: Parameters, paper: Parameters) -> Iterator[str]:
-    """What is too far from the robot on paper, which has to be possible itself."""
+    """Parameters too far from the nominal ones, one message each; the nominal ones must be plausible."""
     yield from _positions("x_w_m", found.x_w_m, paper.x_w_m)
     yield from _positions("y_w_m", found.y_w_m, paper.y_w_m)
     for i, (value, nominal) in enumerate(zip(found.r_m, paper.r_m, strict=True)):
@@ -87,9 +87,10 @@ def _zeros(table: str, wheels: Parameters) -> Iterator[str]:
 
 
 def impossible_twist(rows: Sequence[Row]) -> Iterator[str]:
-    """What is too far from the identity in a twist correction (3, 3); its last row mixes m and rad.
+    """Elements of a twist correction (3, 3) too far from the identity, one message each.
 
-    Recordings that drive in one direction only leave a column empty, which passes.
+    The last row mixes m and rad. Recordings that drive in one direction only leave a column empty, which
+    passes.
     """
     for i, row in enumerate(rows):
         for j, value in enumerate(row):
@@ -100,7 +101,7 @@ def impossible_twist(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def impossible_tyres(tyres: Tyres) -> Iterator[str]:
-    """What cannot be loads of wheels relative to their mean, or the stiffness of tyres."""
+    """Implausible loads, relative to their mean, or creep ratio, one message each."""
     for i, value in enumerate(tyres.load):
         if not 0.0 <= value <= 4.0 * _ROUNDING:
             yield f"tyres.load.{i}: {value:g}; expected 0 to 4 times the mean load"
@@ -111,13 +112,13 @@ def impossible_tyres(tyres: Tyres) -> Iterator[str]:
 
 
 def numbers(values: Array) -> object:
-    """Values of any shape () or (n, ...) as nested lists, with None for what is not known."""
+    """Values of any shape () or (n, ...) as nested lists, with None for values that are not finite."""
     if values.ndim:
         return [numbers(v) for v in values]
     return float(values) if np.isfinite(values) else None
 
 
 def named(z: Array) -> dict[str, object]:
-    """Parameters (12 or 16,) by the keys of results."""
+    """Parameters (12 or 16,) as a mapping with the keys used in results."""
     keys = ("x_w_m", "y_w_m", "r_m", "delta0_rad")
     return {k: numbers(z[4 * i : 4 * i + 4]) for i, k in enumerate(keys) if len(z) >= 4 * i + 4}

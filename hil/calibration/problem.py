@@ -1,10 +1,9 @@
 """The least-squares problem of a calibration: residuals, weights, prior or bounds, derivatives.
 
-Two named settings. `paper`: squared errors in m^2 + rad^2, twelve parameters in a hard box of +-5 %
-around nominal. `recommended`: sixteen parameters with a Gaussian prior instead of bounds, residuals
-in units of their spread, each recording counted as a few effective observations, because twenty
-seconds of odometry error are one random walk, and a Cauchy weight
-per recording, so that a bad one cannot pull the fit.
+Two named settings. `paper`: squared errors in m^2 + rad^2, twelve parameters in a hard box of +-5 % around
+nominal. `recommended`: sixteen parameters with a Gaussian prior instead of bounds, and residuals in units of
+their spread. Each recording counts as a few effective observations, because twenty seconds of odometry error
+are one random walk. A Cauchy weight per recording limits the influence of a bad one.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 
 Terms: TypeAlias = tuple[Array, Array, Array]
-"""Of each recording: cost (R,), J'e (R, m) and J'J (R, m, m)."""
+"""Per recording: cost (R,), J'e (R, m) and J'J (R, m, m)."""
 _EFFECTIVE_OBSERVATIONS = 3.0
 _CAUCHY = 2.0 * 1.2
 _REACH = 10.0
@@ -34,7 +33,7 @@ _BOUND_SLACK = 1e-3
 
 
 class Known:
-    """Costs and terms of the last parameters, and memory for them; shared where only weights differ."""
+    """Cache of costs and terms at the last parameters, and work arrays; shared where only weights differ."""
 
     def __init__(self) -> None:
         self._costs: tuple[Array, Array] | None = None
@@ -42,32 +41,32 @@ class Known:
         self._rows: tuple[Array, Array] | None = None
 
     def under_another_law(self) -> Known:
-        """Nothing known, in the same memory."""
+        """An empty cache with the same work arrays."""
         other = Known()
         other._rows = self._rows
         return other
 
     def keep_costs(self, z: Array, costs: Array) -> None:
-        """Costs (R,) of parameters z (m,)."""
+        """Store the costs (R,) at parameters z (m,)."""
         self._costs = z.copy(), costs
 
     def keep_terms(self, z: Array, terms: Terms) -> None:
-        """Terms of parameters z (m,)."""
+        """Store the terms at parameters z (m,)."""
         self._terms = z.copy(), terms
 
     def costs(self, z: Array) -> Array | None:
-        """Costs (R,) of parameters z (m,), if they are the last ones that costs or terms were asked of."""
+        """Stored costs (R,) at parameters z (m,); None where z is not the last one."""
         terms = self.terms(z)
         if terms is not None:
             return terms[0]
         return self._costs[1] if self._costs is not None and np.array_equal(self._costs[0], z) else None
 
     def terms(self, z: Array) -> Terms | None:
-        """Terms of parameters z (m,), if they are the last ones that terms were asked of."""
+        """Stored terms at parameters z (m,); None where z is not the last one."""
         return self._terms[1] if self._terms is not None and np.array_equal(self._terms[0], z) else None
 
     def rows(self, shape: tuple[int, ...], size: int) -> tuple[Array, Array]:
-        """Room for errors (R, N, 3) and slopes (R, N, 3, m), 0 where nothing was put yet."""
+        """Work arrays for errors (R, N, 3) and slopes (R, N, 3, m), initially 0."""
         if self._rows is None:
             self._rows = np.zeros(shape), np.zeros((*shape, size))
         return self._rows
@@ -78,7 +77,7 @@ PARAMETER_NAMES = tuple(f"{k}_{wheel}" for k in ("x_w", "y_w", "r", "delta0") fo
 
 @dataclass(frozen=True)
 class Setting:
-    """What is fitted and how it is weighed.
+    """What to fit, and how to weight it.
 
     Attributes:
         name: `paper`, `recommended` or `custom`.
@@ -86,7 +85,7 @@ class Setting:
         offsets: whether the four steering zeros are free.
         sigma: residual scale (m, m, rad); None for the paper's plain sum.
         prior_length, prior_radius: relative standard deviations; prior_offset_rad absolute.
-        bounds: relative half width of a hard box (of a steering zero: in radians, since an angle of 0.05 rad
+        bounds: relative half width of a hard box (for a steering zero in radians, since an angle of 0.05 rad
             moves a wheel's way by 5 % of its length); None for a prior instead.
         block_s: length of a block.
         robust: Cauchy weight per recording.
@@ -94,8 +93,8 @@ class Setting:
             the model explains badly as a whole is kept.
         steering_play_rad: play of a steering gear to each side. A wheel may stand on one side of it in all
             recordings of a motion; standard errors allow for that.
-        tolerance: what a workshop may leave, over the standard deviations of the prior. The prior is
-            narrower, so that it keeps in place what the data do not show; standard errors allow for it all.
+        tolerance: workshop tolerance over the prior's standard deviation. The prior is narrower, so that it
+            holds parameters that the data do not show; standard errors include the full tolerance.
         choose_model: take `exact` instead of `dry-friction` where it explains the typical recording better.
     """
 
@@ -135,20 +134,20 @@ SETTINGS = {s.name: s for s in (PAPER, RECOMMENDED)}
 
 
 class Problem:
-    """Weighted residuals of z over blocks of recordings, with prior rows appended.
+    """Weighted residuals of z over blocks of recordings, plus the prior.
 
     Args:
-        blocks: of the recordings.
+        blocks: blocks of the recordings.
         setting: forward model, signal, priors or bounds.
         nominal: geometry to start from.
 
     Attributes:
-        nominal: (m,) start and prior mean; `prior_std` (m,).
-        sizes: (m,) what relative figures of a parameter refer to, see `sizes`.
-        tyres: geometry that brings loads and creep ratio; not fitted.
-        lower, upper: (m,) box that every method keeps to; where the setting has none, ten prior standard
-            deviations, which only senseless data reach.
-        weights: (R,) per recording; 1, or those of `with_weights`.
+        nominal: (m,) start and prior mean; `prior_std` (m,) its standard deviation.
+        sizes: (m,) reference sizes of relative figures, see `sizes`.
+        tyres: geometry with loads and creep ratio, which are not fitted.
+        lower, upper: (m,) box of all methods; where the setting has none, ten prior standard deviations,
+            which only senseless data reach.
+        weights: (R,) weight of each recording; 1, or those of `with_weights`.
     """
 
     def __init__(self, blocks: Blocks, setting: Setting, nominal: WheelGeometry) -> None:
@@ -164,7 +163,7 @@ class Problem:
         self._scale = self._row_scale()
 
     def _row_scale(self) -> Array:
-        """(R, 3) factor of each recording's residuals without its weight."""
+        """(R, 3) factor on each recording's residuals, without the recording's weight."""
         count = len(self.blocks.names)
         if self.setting.sigma is None:
             return np.full((count, 3), np.sqrt(self.blocks.block_s / 0.01))
@@ -173,22 +172,22 @@ class Problem:
 
     @property
     def evaluations(self) -> int:
-        """How often poses were computed, by this problem and by those derived from it."""
+        """Number of times that poses were computed, by this problem and those derived from it."""
         return self._count[0]
 
     def counting_with(self, other: Problem) -> Problem:
-        """This problem, adding its evaluations to those of another."""
+        """Make this problem count its evaluations together with another's; returns itself."""
         self._count = other._count
         return self
 
     def with_weights(self, weights: Array) -> Problem:
-        """The same problem with other weights, one per recording (n,) (shares the warm start)."""
+        """The same problem with other weights (R,), one per recording; shares the warm start."""
         other = copy.copy(self)
         other.weights = weights
         return other
 
     def with_power(self, power: float) -> Problem:
-        """The same problem under another friction exponent: 2 is least squares, 1 is Coulomb's law."""
+        """The same problem with another friction exponent: 2 is least squares, 1 is Coulomb's law."""
         other = copy.copy(self)
         other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), self.tyres, power)
         other._known = self._known.under_another_law()
@@ -200,17 +199,17 @@ class Problem:
         return self.errors_of(self._model.motion(z))
 
     def errors_of(self, motion: Array) -> Array:
-        """Pose errors (R, N, 3) of a body motion (R N, 3) of all blocks."""
+        """Pose errors (R, N, 3) for a given body motion (R N, 3) of all blocks."""
         r, n, _ = self.blocks.wheel_rad.shape
         poses = integrate(self.blocks.start, motion.reshape(r, n, 3))
         return np.asarray(poses[:, 1:] - self.blocks.truth, dtype=np.float64)
 
     def gram(self, z: Array, others: Array) -> Array:
-        """Weighted products (m + k + 1, m + k + 1) of derivatives by z, k further columns and the errors.
+        """Weighted Gram matrix (m + k + 1, m + k + 1) of derivatives by z, k further columns and the errors.
 
         Args:
             z: (m,) parameters.
-            others: (R, N, 3, k) columns that stand beside the derivatives.
+            others: (R, N, 3, k) further columns.
         """
         errors, slopes = self.errors_and_jacobian(z)
         rows = np.concatenate([slopes, others, errors[..., None]], axis=-1)
@@ -229,7 +228,7 @@ class Problem:
         return poses[:, 1:] - self.blocks.truth, np.ascontiguousarray(slopes.transpose(2, 3, 0, 1))
 
     def _row_factors(self) -> Array:
-        """(R, N, 3) factor of each residual without the recording's weight; 0 where nothing is compared."""
+        """(R, N, 3) factor on each residual, without the recording's weight; 0 where nothing is compared."""
         return np.asarray(self.blocks.mask[..., None] * self._scale[:, None], dtype=np.float64)
 
     def normal_terms(self, z: Array) -> Terms:
@@ -252,7 +251,7 @@ class Problem:
         return known
 
     def _residuals(self, z: Array, with_slopes: bool = False) -> tuple[Array, Array]:
-        """Scaled pose errors (R, N, 3), if wanted derivatives (R, N, 3, m); valid until the next call."""
+        """Scaled pose errors (R, N, 3), on request derivatives (R, N, 3, m); valid until the next call."""
         load_pass()
         self._count[0] += 1
         blocks, model, law = self.blocks, self._model, self._model.law
@@ -278,7 +277,7 @@ class Problem:
         return np.asarray(1.0 / self.prior_std**2, dtype=np.float64)
 
     def objective(self, z: Array) -> float:
-        """What the solvers minimise, of parameters z (m,)."""
+        """Value that the solvers minimise, at parameters z (m,)."""
         return float(self.weights @ self.recording_costs(z)) + self.prior_cost(z)
 
     def gradient_terms(self, z: Array) -> tuple[float, Array, Array]:
@@ -290,7 +289,7 @@ class Problem:
         return value, gradient, np.einsum("r,rab->ab", self.weights, jj) + np.diag(precision)
 
     def cauchy_weights(self, z: Array) -> Array:
-        """Weights (R,) from each recording's residual against the median recording."""
+        """Cauchy weights (R,), from each recording's residual relative to the median recording."""
         rms = np.sqrt(self.recording_costs(z))
         typical = np.full(len(rms), np.median(rms))
         if self.setting.by_motion:
@@ -300,20 +299,20 @@ class Problem:
         return np.asarray(1.0 / (1.0 + (rms / np.maximum(_CAUCHY * typical, 1e-12)) ** 2), dtype=np.float64)
 
     def at_bound(self, z: Array) -> npt.NDArray[np.bool_]:
-        """Which of the parameters z (m,) the box decides: within a ten-thousandth of its width of a bound.
+        """Which of the parameters z (m,) the box decides: within a thousandth of its width of a bound.
 
-        Methods end at a bound, or just inside it.
+        The methods end at a bound, or just inside it.
         """
         slack = _BOUND_SLACK * (self.upper - self.lower)
         return np.asarray((z - self.lower <= slack) | (self.upper - z <= slack))
 
     def clip(self, z: Array) -> Array:
-        """Parameters (m,) moved into the box."""
+        """Parameters (m,) clipped to the box."""
         return np.asarray(np.clip(z, self.lower, self.upper), dtype=np.float64)
 
 
 def sizes(nominal: Array) -> Array:
-    """What relative figures refer to, (m,): a position, a radius, a radian for steering zeros.
+    """Reference sizes (m,) of relative figures: positions, radii, and one radian for steering zeros.
 
     A position near an axis of the body counts with half of the largest one, so that it is not held fixed.
     """
@@ -324,7 +323,7 @@ def sizes(nominal: Array) -> Array:
 
 
 def prior_std(of: Array, setting: Setting) -> Array:
-    """Prior standard deviation (m,) of parameters with the `sizes` (m,)."""
+    """Prior standard deviation (m,) for parameters of the given `sizes` (m,)."""
     share = np.repeat([setting.prior_length, setting.prior_radius, setting.prior_offset_rad], [8, 4, 4])
     return np.asarray(share[: len(of)] * of, dtype=np.float64)
 
@@ -332,13 +331,13 @@ def prior_std(of: Array, setting: Setting) -> Array:
 def make_setting(
     name: str, *, model: str | None = None, signal: str | None = None, bounds: float | None = None
 ) -> Setting:
-    """A named setting, with the parts that a user overrides.
+    """A named setting with the user's overrides.
 
     Args:
         name: `recommended` or `paper`.
         model: forward model instead of the setting's.
         signal: wheel signal instead of the setting's.
-        bounds: half width of the box, relative to the parameters' sizes, instead of priors.
+        bounds: half width of a box, relative to the parameters' sizes, instead of a prior.
     """
     base = SETTINGS[name]
     if model is not None:

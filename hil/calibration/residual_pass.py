@@ -1,7 +1,7 @@
 """Computes residuals and derivatives in one pass over recordings, block by block, compiled by numba.
 
 The arithmetic is that of `hil.calibration.motion_models` and `hil.robot.odometry`, which numpy runs on
-arrays; here it runs on numbers, and no array is made between wheels and residuals.
+arrays. Here it runs on numbers, without arrays between wheels and residuals.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _PARTS = (
     *(motion_models.mean_motion, motion_models.contact_response, motion_models.put_column),
     *(motion_models.mean_response, respond, settled, roll, chord, chord_slopes),
 )
-"""What a pass is made of; numpy runs it on arrays, too."""
+"""Functions that a pass calls; numpy also runs them on arrays."""
 for _plain in _PARTS:
     inner(_plain)
 
 
 class Contacts(NamedTuple):
-    """The law of contact: its kind, loads, exponent of dry friction, ratio of creep stiffness.
+    """Law of contact: its kind, loads, exponent of dry friction, creep ratio.
 
     Attributes:
         load: (4,) relative normal loads.
@@ -49,14 +49,14 @@ class Contacts(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """What was recorded.
+    """Recorded data.
 
     Attributes:
         wheel_rad: (R, N, 8) raw wheel vectors.
         first: (R, 3) poses at the start.
         truth: (R, N, 3) poses at the blocks' ends.
-        known: (R, N) where they are known; elsewhere errors and derivatives are 0.
-        counts: (R,) numbers of real blocks; the others are not touched.
+        known: (R, N) whether `truth` is known; elsewhere errors and derivatives are 0.
+        counts: (R,) numbers of real blocks; the results of the others are not written.
         scale: (R, 3) factors of the errors.
     """
 
@@ -69,12 +69,12 @@ class Driven(NamedTuple):
 
 
 class Reckoned(NamedTuple):
-    """What a pass puts in place.
+    """Arrays that a pass fills.
 
     Attributes:
-        last: (3, R N) body motions, taken, too.
-        errors: (R, N, 3).
-        slopes: (R, N, 3, m); left out where empty.
+        last: (3, R N) body motions; also read as start values.
+        errors: (R, N, 3) scaled pose errors.
+        slopes: (R, N, 3, m) derivatives of `errors`; not computed where empty.
     """
 
     last: Array
@@ -84,15 +84,15 @@ class Reckoned(NamedTuple):
 
 @kernel
 def run_pass(law: Contacts, z: Array, turned: Array, start: int, driven: Driven, reckoned: Reckoned) -> None:
-    """Put scaled pose errors and their derivatives in place.
+    """Fill scaled pose errors and their derivatives.
 
     Args:
-        law: of contact.
+        law: law of contact.
         z: (m,) parameters.
         turned: (2, 4) from `turned_wheels`.
-        start: what the last body motions are worth: COLD, WARM or KNOWN.
-        driven: what was recorded.
-        reckoned: the results.
+        start: use of the last body motions: COLD, WARM or KNOWN.
+        driven: recorded data.
+        reckoned: results.
     """
     kind, load, power, ratio = law
     wheel_rad, first, truth, known, counts, scale = driven
@@ -131,7 +131,7 @@ def run_pass(law: Contacts, z: Array, turned: Array, start: int, driven: Driven,
 
 @cache
 def load_pass() -> None:
-    """Load the machine code of `run_pass`; without one it is compiled."""
+    """Load the compiled code of `run_pass`, or compile it where none is cached."""
     law, one = Contacts(FRICTION, np.ones(4), 1.0, 1.0), np.zeros((1, 1, 3))
     known, counts = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.int64)
     driven = Driven(np.zeros((1, 1, 8)), np.zeros((1, 3)), one, known, counts, np.ones((1, 3)))

@@ -1,10 +1,10 @@
 """The four methods of the paper behind one call: Levenberg-Marquardt, interior point, GA, PSO.
 
-All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix: the first is
-written here, as scipy's are slower and stop inside the box where bounds decide; the interior point is of
-scipy. The stochastic ones are of pymoo (extra `paper`). They search the directions that the data determine
-(in the raw box they stop 4 to 135 % above the optimum on the authors' recordings) and are polished by the
-first; the result says both.
+All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix. Levenberg-Marquardt
+is written here, because scipy's versions are slower and stop inside the box where bounds decide; the interior
+point is scipy's. GA and PSO are pymoo's (extra `paper`). They search the directions that the data determine
+(in the raw box they stop 4 to 135 % above the optimum on the authors' recordings) and are polished by
+Levenberg-Marquardt; the result contains the value before and after.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ _SIZES = {"ga": (40, 36), "pso": (30, 48)}
 """Candidates and generations of the stochastic methods."""
 _RELATIVE_STEP = 1e-12
 _INSIDE, _SLOPE, _STEP = 1e-3, 1e-12, 1e-12
-"""Of the interior point: how far inside the box it begins, and when it ends, in widths of the box."""
+"""Interior point: distance of the start from the box, and tolerances, in widths of the box."""
 _TRUST_CONSTR_ENDED = (1, 2)
-"""By the slope, or by the step."""
+"""Status of `trust-constr` that ended by the gradient, or by the step."""
 _SEARCH_STD = 3.0
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a method ended.
+    """Result of a method.
 
     Attributes:
         z: (m,) parameters.
         objective: value at z.
-        iterations: of the method itself.
-        converged: its own criterion was met, or less than a twentieth of a standard error is left to go.
+        iterations: number of iterations (or generations) of the method itself.
+        converged: its own criterion was met, or the minimum is within a twentieth of a standard error.
         searched: dimension of the searched subspace (stochastic methods), else len(z).
-        objective_before_polish: of a stochastic method's best candidate, None otherwise.
+        objective_before_polish: objective of a stochastic method's best candidate, None otherwise.
     """
 
     z: Array
@@ -62,9 +62,9 @@ def solve(
     """Minimise a problem; the gradient methods start from its nominal parameters.
 
     Args:
-        problem: what to minimise.
+        problem: problem to minimise.
         method: `lm`, `interior-point`, `ga` or `pso`.
-        seed: of the stochastic methods.
+        seed: seed of the stochastic methods.
         progress: called with (done, total) generations by the stochastic methods.
 
     Raises:
@@ -80,12 +80,12 @@ def solve(
 
 
 def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> Solution:
-    """Levenberg-Marquardt whose damped steps are solved within the box (More 1978; Kanzow et al. 2004).
+    """Levenberg-Marquardt with damped steps solved within the box (More 1978; Kanzow et al. 2004).
 
     Args:
-        problem: to solve.
+        problem: problem to solve.
         z0: (m,) start.
-        limit: of iterations.
+        limit: largest number of iterations.
     """
     z, damping = problem.clip(z0), 1e-3
     value, gradient, hessian = problem.gradient_terms(z)
@@ -114,7 +114,7 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
 
 
 def standard_errors_left(problem: Problem, z: Array) -> float:
-    """How far an undamped Gauss-Newton step would go from z (m,), in standard errors of its direction."""
+    """Length of an undamped Gauss-Newton step from z (m,), in standard errors of its direction."""
     _, gradient, hessian = problem.gradient_terms(z)
     return float(np.sqrt(gradient @ np.linalg.solve(hessian, gradient)))
 
@@ -122,12 +122,12 @@ def standard_errors_left(problem: Problem, z: Array) -> float:
 def _box_step(
     problem: Problem, z: Array, gradient: Array, hessian: Array, damping: float
 ) -> tuple[Array, float]:
-    """Best damped Gauss-Newton step within the box: where it ends, and by how much the cost should fall.
+    """Best damped Gauss-Newton step within the box: its end point, and the predicted decrease of the cost.
 
-    The step s minimises 2 g's + s'(H + damping diag H)s, which is |A s - b|^2 with A'A = H + ... and
-    A'b = -g; with parameters scaled by the root of diag H the matrix is well conditioned. A step cut off at
-    the box parameter by parameter would stop at corners where the cost still falls along a side. Most steps
-    end within the box, and scipy's solver, half a second to import, is not asked.
+    The step s minimises 2 g's + s'(H + damping diag H)s, which is |A s - b|^2 with A'A = H + ... and A'b =
+    -g; with parameters scaled by the root of diag H the matrix is well conditioned. A step clipped to the box
+    parameter by parameter would stop at corners where the cost still falls along a side. Most steps end
+    within the box; then scipy's solver, which takes half a second to import, is not called.
     """
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-12))
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale) + damping * np.eye(len(z)))
@@ -145,10 +145,10 @@ def _box_step(
 
 
 def interior_point(problem: Problem, z0: Array) -> Solution:
-    """The `trust-constr` of scipy: a barrier for the box and a trust region, with the Gauss-Newton matrix.
+    """Method `trust-constr` of scipy: a barrier for the box, a trust region, and the Gauss-Newton matrix.
 
     Args:
-        problem: to solve.
+        problem: problem to solve.
         z0: (m,) start.
     """
     from scipy.optimize import Bounds, minimize
@@ -185,7 +185,7 @@ def interior_point(problem: Problem, z0: Array) -> Solution:
 
 
 def _stochastic(problem: Problem, method: str, seed: int, progress: Progress | None) -> Solution:
-    """Search in whitened coordinates of the determined directions, then polish."""
+    """Search in whitened coordinates of the determined directions, then polish with Levenberg-Marquardt."""
     directions = determined_directions(problem)
 
     def candidate(s: Array) -> Array:
@@ -203,7 +203,7 @@ def _stochastic(problem: Problem, method: str, seed: int, progress: Progress | N
 
 
 def determined_directions(problem: Problem) -> Array:
-    """(m, d) columns: directions that the data determine better than the prior, one prior std long.
+    """Columns (m, d): directions that the data determine better than the prior, one prior std long.
 
     Data information J'J is whitened by the prior spread; directions with more than the prior's own
     information are kept.
@@ -221,7 +221,7 @@ def determined_directions(problem: Problem) -> Array:
 def _searched(
     method: str, objective: Callable[[Array], float], dimension: int, seed: int, progress: Progress | None
 ) -> tuple[Array, int]:
-    """Best point (d,) of pymoo's GA or PSO, in prior standard deviations, and the count of generations."""
+    """Best point (d,) of pymoo's GA or PSO, in prior standard deviations, and the number of generations."""
     if why := lacks("paper"):
         raise UsageError(f"method {method!r} needs the extra paper: {why}", remedy=how_to_install("paper"))
     from pymoo.algorithms.soo.nonconvex.ga import GA
@@ -236,7 +236,7 @@ def _searched(
     first[0] = 0.0
 
     class Progress(Callback):  # type: ignore[misc]
-        """Passes each generation on."""
+        """Reports each generation to `progress`."""
 
         def notify(self, algorithm: Any) -> None:
             if progress is not None:

@@ -1,12 +1,12 @@
-"""A plain data generator with hidden truth: recordings as a robot with other wheels would leave them.
+"""Simulator of recordings with known hidden parameters: a robot whose wheels differ from the nominal ones.
 
-The robot is commanded through the nominal inverse kinematics, but has wheel positions, radii,
-steering zeros and wheel loads of its own. Its motion follows from force balance at the four
-contacts, never from the odometry formula: under `viscous` contact each wheel pulls in proportion to
-its load and slip, under `coulomb` contact with a force that does not grow with slip; under `elastic` contact
-each tyre is a spring that slip winds up and rolling unwinds. What is recorded passes through the
-devices' imperfections as measured on the real robot (arXiv 2509.04016): 12-bit counts, a velocity
-register that lags 52 ms and truncates half a unit, steering dither, capture noise, jittery stamps.
+The robot is commanded through the nominal inverse kinematics, but has its own wheel positions, radii,
+steering zeros and wheel loads. Its motion follows from force balance at the four contacts, never from the
+odometry formula. Under `viscous` contact each wheel pulls in proportion to its load and slip; under `coulomb`
+contact the force does not grow with slip; under `elastic` contact each tyre is a spring that slip winds up
+and rolling unwinds. The recorded signals have the errors measured on the real robot (arXiv 2509.04016):
+12-bit counts, a velocity register that lags 52 ms and truncates half a unit, steering dither, capture noise,
+stamp jitter.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _DITHER_RAD = np.radians(0.03)
 
 @dataclass(frozen=True)
 class HiddenRobot:
-    """What the calibration does not know.
+    """True parameters, which the calibration does not know.
 
     Attributes:
         geometry: true wheel positions, radii and steering zeros.
         load: (4,) relative normal loads, mean 1.
         contact: `viscous`, `coulomb` or `elastic`.
         ratio: sideways over lengthwise stiffness of the springs of `elastic`.
-        nominal: what the robot is on paper; it is commanded as if that were true.
+        nominal: nominal robot, with which the commands are computed.
     """
 
     geometry: WheelGeometry
@@ -56,7 +56,7 @@ class HiddenRobot:
     nominal: Nominal = field(default_factory=Nominal)
 
     def twist_correction(self, nominal: WheelGeometry) -> Array:
-        """True C (3, 3) for viscous contact: actual twist of a twist that nominal odometry reports."""
+        """True C (3, 3) for viscous contact: actual twist = C times the twist of nominal odometry."""
         p = projection(self.geometry.x_m, self.geometry.y_m)
         weight = np.repeat(self.load, 2)
         pull = np.linalg.solve(p.T @ (weight[:, None] * p), p.T * weight)
@@ -70,14 +70,14 @@ class HiddenRobot:
 
 
 def hidden_robot(seed: int, *, contact: str = "viscous", nominal: Nominal | None = None) -> HiddenRobot:
-    """A robot with lengths 3 % and radii 2.5 % off at most, steering zeros of 1 to 2 deg, uneven loads.
+    """Random robot: lengths up to 3 % and radii 2.5 % off, steering zeros of 1 to 2 deg, uneven loads.
 
-    Its tyres are as stiff sideways as lengthwise, or down to 0.4 times that.
+    Sideways its tyres have 0.4 to 1 times the lengthwise stiffness.
 
     Args:
-        seed: of what is drawn.
+        seed: seed of the random numbers.
         contact: `viscous`, `coulomb` or `elastic`.
-        nominal: the robot on paper, the CAD model by default; loads vary about its own.
+        nominal: nominal robot, the CAD model by default; loads vary about its loads.
     """
     rng = np.random.default_rng([seed, 1])
     paper = nominal if nominal is not None else Nominal()
@@ -99,7 +99,7 @@ def hidden_robot(seed: int, *, contact: str = "viscous", nominal: Nominal | None
 
 
 def commanded_twist(motion: str, t_s: Array) -> Array:
-    """Body twist (n, 3) of a motion at times since its start; zero outside."""
+    """Commanded body twist (n, 3) of a motion at times since its start; zero outside."""
     v, w = 0.05, 0.157
     shapes = {
         "line_x": (20.0, (v, 0, 0)),
@@ -125,7 +125,7 @@ def commanded_twist(motion: str, t_s: Array) -> Array:
 
 
 def duration_s(motion: str) -> float:
-    """How long a motion takes, rests included, s."""
+    """Duration of a motion, s, including the rests before and after."""
     probe = np.arange(0.0, 90.0, 0.1)
     moving = np.any(commanded_twist(motion, probe) != 0.0, axis=1)
     return float(probe[moving][-1]) + 2 * _REST_S
@@ -141,15 +141,15 @@ def simulate(
     slip_bursts: int = 0,
     corrupted: bool = False,
 ) -> Recording:
-    """One recording.
+    """Simulate one recording.
 
     Args:
         robot: hidden truth.
         motion: one of `MOTIONS` or `OTHER_MOTIONS`.
-        name: of the recording.
-        rng: noise.
-        run_to_run: scale of what differs from run to run: 0.06 deg and 1 mm per metre, 0.05 % of length.
-        slip_bursts: how many times the body slides for a second, by millimetres.
+        name: name of the recording.
+        rng: source of the noise.
+        run_to_run: scale of the differences from run to run: 0.06 deg and 1 mm per metre, 0.05 % of length.
+        slip_bursts: number of times that the body slides for a second, by millimetres.
         corrupted: a wheel slips for a third of the run and the capture system jumps.
     """
     cad = robot.nominal.geometry
@@ -187,7 +187,7 @@ def simulate(
 
 
 def _perturb(body: Array, draw: Array) -> Array:
-    """Non-systematic error that lasts for a run: scale, sideways and heading drift per metre rolled."""
+    """Add an error that is constant within a run: scale, sideways and heading drift per metre rolled."""
     step_m = np.hypot(body[:, 0], body[:, 1]) + 0.16 * np.abs(body[:, 2])
     scaled = body * (1.0 + 5e-4 * draw[0])
     sideways = 1e-3 * draw[1]
@@ -209,7 +209,7 @@ def _commands(nominal: Nominal, twist: Array) -> tuple[Array, Array]:
 
 
 def _lag(values: Array, tau_s: float) -> Array:
-    """First-order lag of each column, started at its first value."""
+    """First-order lag of each column, initialised at its first value."""
     from scipy.signal import lfilter
 
     a = float(np.exp(-_STEP_S / tau_s))
@@ -231,9 +231,9 @@ def _contact(robot: HiddenRobot, u: Array) -> Array:
 
 
 def _springs(robot: HiddenRobot, p: Array, u: Array) -> Array:
-    """Body motion (n, 3) on tyres that are wound up by slip and unwound over `_RELAXATION_M` of rolling.
+    """Body motion (n, 3) on tyres that slip winds up and rolling unwinds over `_RELAXATION_M`.
 
-    In every step the springs' forces balance; what they are wound up by is carried on to the next one.
+    In every step the forces of the springs balance; their deflection carries over to the next step.
     """
     ways = u.reshape(len(u), 4, 2)
     rolled_m = np.linalg.norm(ways, axis=2)
@@ -297,18 +297,16 @@ def make_set(
     slip_share: float = 0.25,
     corrupted: str | None = None,
 ) -> list[Recording]:
-    """Recordings `MOTION_k` of several repetitions; a share of them with three slip bursts.
-
-    `corrupted` names the one recording that is spoiled; `run_to_run` is that of `simulate`.
+    """Simulate recordings `MOTION_k`, several repetitions per motion; a share of them with three slip bursts.
 
     Args:
-        robot: with hidden true parameters.
-        seed: of everything that differs between recordings.
+        robot: robot with hidden true parameters.
+        seed: seed of everything that differs between recordings.
         motions: names of the motions.
-        repetitions: of each motion.
+        repetitions: number of repetitions per motion.
         run_to_run: as for `simulate`.
         slip_share: share of recordings with slip bursts.
-        corrupted: name of the one recording that is spoiled.
+        corrupted: name of the one recording that is simulated with faults.
     """
     out = []
     for number, motion in enumerate(motions):

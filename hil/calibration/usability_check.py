@@ -1,4 +1,4 @@
-"""Checks that a bench may use a calibration: made for its robot, and not failed in its validation run."""
+"""Checks that a bench may use a calibration: it is for this robot and did not fail its validation run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SAME_RAD = 1e-6
 
 
 def made_for(config: BenchConfig) -> MadeFor | None:
-    """The servos of a bench as a calibration remembers them; None for a bench without."""
+    """Servos of a bench as stored in a calibration; None for a bench without servos."""
     servos = config.of(ServosConfig)
     if servos is None:
         return None
@@ -32,11 +32,11 @@ def made_for(config: BenchConfig) -> MadeFor | None:
 
 
 def check_passed(file: CalibrationFile, path: str) -> None:
-    """Refuse a calibration whose validation run did not pass, or that had none.
+    """Refuse a calibration whose validation run did not pass, or that had no such run.
 
     Args:
         file: the calibration.
-        path: where it lies, for the message.
+        path: path of the file, for the message.
 
     Raises:
         ConfigError: names the file and the verdict.
@@ -51,11 +51,11 @@ def check_passed(file: CalibrationFile, path: str) -> None:
 
 
 def failed_validation(file: CalibrationFile, path: str) -> str:
-    """One sentence where the calibration failed its own validation run; else empty.
+    """A sentence where the calibration failed its own validation run; else empty.
 
     Args:
         file: the calibration.
-        path: where it lies.
+        path: path of the file, for the message.
     """
     if file.verdict != "FAIL":
         return ""
@@ -63,14 +63,15 @@ def failed_validation(file: CalibrationFile, path: str) -> str:
 
 
 def check_usable(file: CalibrationFile, config: BenchConfig, path: str) -> None:
-    """Refuse a calibration that a bench may not use: another robot's, or one that failed its validation run.
+    """Refuse a calibration of another robot, or one that failed its validation run.
 
-    One that had no such run (of `hil calibrate`) may be used, and a failed one where the bench asks for it.
+    A calibration without such a run (from `hil calibrate`) is allowed, and a failed one where the bench
+    allows it.
 
     Args:
         file: the calibration.
         config: bench that is to use it.
-        path: where it lies, for the message.
+        path: path of the file, for the message.
 
     Raises:
         ConfigError: names the file and what is wrong.
@@ -80,12 +81,12 @@ def check_usable(file: CalibrationFile, config: BenchConfig, path: str) -> None:
 
 
 def check_not_failed(file: CalibrationFile, config: BenchConfig, path: str) -> None:
-    """Refuse a calibration that failed its validation run, unless the bench asks for it.
+    """Refuse a calibration that failed its validation run, unless the bench file allows it.
 
     Args:
         file: the calibration.
         config: bench that is to use it.
-        path: where it lies, for the message.
+        path: path of the file, for the message.
 
     Raises:
         ConfigError: names the file.
@@ -105,11 +106,11 @@ def check_made_for(file: CalibrationFile, config: BenchConfig, path: str) -> Non
 
     Args:
         file: the calibration.
-        config: bench that wants to use it.
-        path: where it lies, for the message.
+        config: bench that is to use it.
+        path: path of the file, for the message.
 
     Raises:
-        ConfigError: nominal geometry or servos differ from the bench's, with everything that differs.
+        ConfigError: nominal geometry or servos differ from the bench's; lists all differences.
     """
     robot = config.robot
     mine = WheelGeometry(

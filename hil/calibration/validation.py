@@ -24,7 +24,7 @@ _KEYS = ("rmse_position_m", "rmse_theta_rad", "final_position_m")
 
 
 def repetition_numbers(motions: Sequence[str]) -> list[int]:
-    """0, 1, 2, ... within each motion, in the order given."""
+    """Number of each repetition, 0, 1, 2, ..., within its motion, in the order given."""
     seen: dict[str, int] = {}
     out = []
     for motion in motions:
@@ -42,9 +42,9 @@ def left_out(
     groups: Sequence[object],
     progress: Progress | None = None,
 ) -> list[Track]:
-    """Odometry of every recording by a fit without its group; none of a group that is all there is.
+    """Odometry of every recording by a fit without its group; left out where the group is everything.
 
-    Folds are fitted side by side, each as it would be alone.
+    Folds are fitted in parallel; the results do not depend on this.
 
     Args:
         recordings: the runs, in the order of `blocks`.
@@ -73,7 +73,7 @@ def left_out(
             found.update(tracks)
             if progress is not None:
                 progress(number, len(labels))
-    finally:  # an interrupt does not wait for folds that have not begun
+    finally:  # on an interrupt, folds that have not started are cancelled
         pool.shutdown(cancel_futures=True)
     return [found[k] for k in sorted(found)]
 
@@ -84,13 +84,13 @@ def score(
     setting: Setting,
     correction: Array | None = None,
 ) -> Table:
-    """Errors by motion of one geometry, or of a twist correction (3, 3) on top of it.
+    """Errors by motion for a geometry, or for a twist correction (3, 3) applied after it.
 
     Args:
-        recordings: to judge by.
-        geometry: of the wheels.
+        recordings: recordings to evaluate.
+        geometry: wheel parameters.
         setting: forward model and signal.
-        correction: (3, 3) of the body twist, applied after the geometry.
+        correction: (3, 3) correction of the body twist, applied after the geometry.
     """
     return table_of(track_all(recordings, geometry, setting.model, setting.signal, correction))
 
@@ -113,10 +113,10 @@ def deployed(
     """Score both ways to apply a calibration: `geometry`, or `correction` (3, 3) of nominal odometry.
 
     Args:
-        recordings: to judge by.
-        geometry: fitted.
-        nominal: geometry that the correction is made for.
-        correction: (3, 3) of the body twist.
+        recordings: recordings to evaluate.
+        geometry: fitted geometry.
+        nominal: geometry that the correction belongs to.
+        correction: (3, 3) correction of the body twist.
         setting: forward model and signal.
     """
     return Deployed(
@@ -126,9 +126,9 @@ def deployed(
 
 
 def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:
-    """Non-systematic floor by motion: spread of the repetitions' end points, m (NaN for one run).
+    """Non-systematic error by motion: spread of the repetitions' end points, m; NaN for a single run.
 
-    Only repetitions that go the same way count together: a line that is driven back ends elsewhere.
+    Only repetitions with similar end points count together: a line driven in reverse ends elsewhere.
     """
     alike: dict[str, list[list[Array]]] = {}
     for r in recordings:
@@ -151,7 +151,7 @@ def _go_alike(end: Array, other: Array) -> bool:
 
 
 def _spread(ways: Sequence[Sequence[Array]]) -> float:
-    """Standard deviation of end points (2,), m, about the mean of their way; NaN where each went alone."""
+    """Standard deviation of end points (2,), m, about the mean of their group; NaN without a group of two."""
     free = sum(len(ends) - 1 for ends in ways)
     if not free:
         return float("nan")

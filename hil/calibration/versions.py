@@ -1,7 +1,7 @@
-"""The versions of one `calibration.toml`: new ones beside the old, one of them in place.
+"""Versions of one `calibration.toml`: new ones beside the old ones, one of them in place.
 
-A bench names one file. Beside it stand all its versions (`calibration.v1.toml`, ...). A new version is
-put there first; only after its validation passed is it copied into place, in one step. Any version
+A bench names one file. All its versions are stored beside it (`calibration.v1.toml`, ...). A new version is
+stored there first. Only after it has passed its validation is it copied into place, atomically. Any version
 can be put back.
 """
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class KeptVersion:
-    """One version: its file, its content, and whether it is the one in place."""
+    """One version: its file, its content, and whether it is the version in place."""
 
     path: Path
     file: CalibrationFile
@@ -53,7 +53,7 @@ class Shelf:
         self.path = path
 
     def versions(self) -> tuple[KeptVersion, ...]:
-        """Every version, oldest first; a damaged file raises `ConfigError`."""
+        """Every version, oldest first; raises `ConfigError` for a damaged file."""
         pattern = re.compile(re.escape(self.path.stem) + r"\.v(\d+)" + re.escape(self.path.suffix))
         try:
             current = read_bytes(self.path, MOST_TOML_BYTES) if self.path.exists() else None
@@ -70,7 +70,7 @@ class Shelf:
         return tuple(sorted(found, key=lambda v: v.file.version))
 
     def add(self, file: CalibrationFile) -> KeptVersion:
-        """Put a calibration beside the others, under the next number; what is in place stays."""
+        """Store a calibration under the next version number; the file in place stays."""
         version = next_version(self.path)
         previous = keep(self.path) if self.path.exists() else {}
         numbered = file.model_copy(update={"version": version, "previous": previous})
@@ -79,11 +79,11 @@ class Shelf:
         return KeptVersion(target, numbered, in_place=False)
 
     def apply(self, version: int, config: BenchConfig | None = None) -> KeptVersion:
-        """Put a version in place.
+        """Put a version in place, if its validation passed.
 
         Args:
-            version: its number.
-            config: bench that is going to use it, None to check nothing of it.
+            version: number of the version.
+            config: bench that will use it, None to skip the check against the bench.
 
         Raises:
             ConfigError: no such version, its validation did not pass, or it belongs to another robot.
@@ -93,12 +93,12 @@ class Shelf:
         return self._put_in_place(chosen, config)
 
     def adopt(self, file: CalibrationFile, where: str, config: BenchConfig | None = None) -> KeptVersion:
-        """Put a calibration from elsewhere beside the others and in place; a refused one leaves no file.
+        """Store a calibration from elsewhere and put it in place; a refused one leaves no file.
 
         Args:
             file: the calibration.
-            where: it lies, for messages.
-            config: bench that is going to use it, None to check nothing of it.
+            where: path of the calibration, for messages.
+            config: bench that will use it, None to skip the check against the bench.
 
         Raises:
             ConfigError: its validation did not pass, it belongs to another robot, or it cannot be written.
@@ -109,10 +109,10 @@ class Shelf:
         return self.apply(self.add(file).file.version, config)
 
     def rollback(self, version: int | None = None, config: BenchConfig | None = None) -> KeptVersion:
-        """Put an earlier version back: the given one, else the one before the one in place.
+        """Put an earlier version back: the given one, else the one before the version in place.
 
         Raises:
-            ConfigError: nothing to go back to, or it belongs to another robot.
+            ConfigError: there is no such version, or it belongs to another robot.
         """
         if version is None:
             here = [v.file.version for v in self.versions() if v.in_place]
@@ -123,7 +123,7 @@ class Shelf:
         return self._put_in_place(self.find(version), config)
 
     def find(self, version: int) -> KeptVersion:
-        """The version of that number; raises `ConfigError` that lists the numbers."""
+        """The version with that number; raises a `ConfigError` that lists the numbers."""
         for kept in self.versions():
             if kept.file.version == version:
                 return kept
@@ -155,16 +155,16 @@ def shelve(
     config: BenchConfig,
     robot: Identity,
 ) -> KeptVersion:
-    """Put a calibration beside `path`, and in place if its validation passed.
+    """Store a calibration beside `path`, and put it in place if its validation passed.
 
     Args:
         path: the calibration in use, `calibration.toml`.
-        result: to keep.
+        result: calibration to store.
         created: date and time, ISO 8601.
-        software: package name to version.
-        verdict: of its validation run.
+        software: package versions by package name.
+        verdict: verdict of its validation run.
         config: bench that it was made on.
-        robot: whose it is.
+        robot: robot that it belongs to.
     """
     shelf = Shelf(path)
     kept = shelf.add(

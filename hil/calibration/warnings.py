@@ -1,4 +1,4 @@
-"""Makes the sentences under `warnings` of a calibration's result."""
+"""Composes the sentences under `warnings` of a calibration's result."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def caveats(
     tables: Mapping[str, Table],
     deployed: Deployed,
 ) -> tuple[str, ...]:
-    """Every sentence: repairs first, then what weakens the result, then what it means.
+    """All warnings: first repairs, then weaknesses of the result, then how to read it.
 
     Args:
-        recordings: what was fitted.
+        recordings: recordings that were fitted.
         found: the fit.
-        spectrum: what the data determine under it.
-        paper: the paper's setting on the same data, where it could be fitted.
-        tables: validation by name, empty without.
+        spectrum: identifiability of the fit.
+        paper: fit with the paper's setting on the same data, where possible.
+        tables: validation by name, empty without a validation.
         deployed: errors of the result on the recordings.
     """
     out = warnings_of(recordings)
@@ -74,7 +74,7 @@ def caveats(
     if not found.solution.converged:
         out.append(
             "the fit ended before its parameters had settled within a twentieth of a standard error; "
-            "hold it against another --method"
+            "compare it with another --method"
         )
     if spectrum.unobservable:
         out.append("unobservable, moved by their prior only: " + ", ".join(spectrum.unobservable))
@@ -84,8 +84,8 @@ def caveats(
     total = len(found.solution.z)
     out.append(
         f"the data determine {spectrum.determined} directions of the {total} parameters, "
-        f"{spectrum.whatever_the_model} without a law of contact: what goes beyond, only the model "
-        f"{found.problem.setting.model} claims; single parameters are effective values, only their "
+        f"{spectrum.whatever_the_model} without a law of contact: the others depend on the model "
+        f"{found.problem.setting.model}; single parameters are effective values, only their "
         "combinations are measured"
     )
     if paper is not None:
@@ -97,12 +97,12 @@ def caveats(
 
 
 def left_out_because(rejected: Mapping[str, str]) -> list[str]:
-    """One line for each recording that was left out, by name, and why."""
+    """One line for each recording that was left out, with name and reason."""
     return [f"{name}: left out: {why}" for name, why in rejected.items()]
 
 
 def motions_apart(found: Fit) -> list[str]:
-    """Motions of which every recording, two or more, fits badly: no one of them is to blame."""
+    """One line for each motion with at least two recordings of which every one fits badly."""
     weights: dict[str, list[float]] = {}
     for motion, weight in zip(found.problem.blocks.motions, found.problem.weights, strict=True):
         weights.setdefault(motion, []).append(float(weight))
@@ -114,13 +114,13 @@ def motions_apart(found: Fit) -> list[str]:
 
 
 def warnings_of(recordings: Sequence[Recording]) -> list[str]:
-    """What recordings say about themselves: damage, repairs, a start in motion, and clocks that differ."""
+    """Warnings of the recordings themselves: damage, repairs, a start in motion, clock offsets."""
     lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
     return [*lines, *different_clocks(recordings)]
 
 
 def crossed_gaps(recordings: Sequence[Recording]) -> list[str]:
-    """One line where the paper's preprocessing steps across gaps of the ground truth."""
+    """One line if the paper's preprocessing steps across gaps of the ground truth; else none."""
     lost = [r.name for r in recordings if np.max(np.diff(r.truth_receive_s)) > LONGEST_GAP_S]
     if not lost:
         return []
@@ -131,7 +131,7 @@ def crossed_gaps(recordings: Sequence[Recording]) -> list[str]:
 
 
 def unexplained(found: Fit) -> list[str]:
-    """One line where the fit leaves more than a fifth of the way in the typical recording."""
+    """One line if more than a fifth of the way is left as error in the typical recording; else none."""
     blocks, weight = found.problem.blocks, np.array([1.0, 1.0, lever_m(found.geometry)])
     inside = blocks.mask[..., None] * weight
     left = np.linalg.norm(found.problem.errors(found.solution.z) * inside, axis=2)
@@ -147,13 +147,13 @@ def unexplained(found: Fit) -> list[str]:
 
 
 def common_zero_rad(found: Fit) -> float | None:
-    """By how much the steering zeros are off in common, rad: their mean; None where they were not fitted."""
+    """Mean deviation of the steering zeros from nominal, rad; None where they were not fitted."""
     zeros = found.solution.z[_LENGTHS:]
     return float(np.mean(zeros - found.problem.nominal[_LENGTHS:])) if len(zeros) else None
 
 
 def turned_in_common(found: Fit) -> list[str]:
-    """One line where all steering zeros are off by much the same: so they would be by another heading."""
+    """One line if all steering zeros are off alike, as a heading offset of the ground truth causes."""
     common = common_zero_rad(found)
     if common is None or abs(common) < _COMMON_RAD:
         return []
@@ -161,14 +161,14 @@ def turned_in_common(found: Fit) -> list[str]:
     if np.max(np.abs(zeros - common)) > 0.5 * abs(common):
         return []
     return [
-        f"all four steering zeros are off by much the same, {common:.3f} rad in the mean: so they would be "
-        f"if the heading of the ground truth were {common:.3f} rad off the robot's; set the heading of its "
+        f"all four steering zeros are off by much the same, {common:.3f} rad in the mean: a heading of the "
+        f"ground truth that is {common:.3f} rad off the robot's has this effect; set the heading of its "
         "body, or mount_rotation_wxyz of [truth] in the topic mapping, before this is taken for steering"
     ]
 
 
 def extrapolating(found: Fit) -> list[str]:
-    """Directions that no recording drives on its own: how far the result goes there, what to record."""
+    """One line for each direction that no recording drives on its own: the effect, and what to record."""
     nominal = found.problem.tyres.with_vector(found.problem.nominal)
     return [
         f"no recording drives {name} on its own, so there the calibration extrapolates, as parameters and "
@@ -179,12 +179,12 @@ def extrapolating(found: Fit) -> list[str]:
 
 
 def beyond_driven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> list[str]:
-    """Motions of other recordings that go where a calibration's own, which drove `known`, did not.
+    """One line for each motion of other recordings in a direction that the calibration's did not drive.
 
     Args:
-        blocks: of the other recordings.
-        nominal: geometry by which their motion is judged.
-        known: what the calibration's recordings drove.
+        blocks: blocks of the other recordings.
+        nominal: geometry for the odometry of their motion.
+        known: distances driven in the calibration's recordings.
     """
     return [
         f"{motion} drives {' and '.join(names)}, which no recording of the calibration did: it extrapolates; "
@@ -194,7 +194,7 @@ def beyond_driven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> list
 
 
 def _parting(found: Fit, nominal: WheelGeometry, name: str) -> str:
-    """How far apart fitted and nominal odometry end after a metre in one direction (at the wheels)."""
+    """Distance between fitted and nominal odometry after a metre in one direction (at the wheels)."""
     steps, twist = 100, np.zeros(3)
     twist[DIRECTIONS.index(name)] = 1.0 / steps / (lever_m(nominal) if name == "turning" else 1.0)
     wheel_rad = np.tile(nominal.projection() @ twist / np.repeat(nominal.radius_m, 2), (steps, 1))
@@ -205,7 +205,7 @@ def _parting(found: Fit, nominal: WheelGeometry, name: str) -> str:
 
 
 def unpredicted(tables: Mapping[str, Table]) -> list[str]:
-    """Motions that a fit to the others predicts worse than nominal parameters do."""
+    """One line for each motion that a fit to the others predicts worse than nominal parameters do."""
     left_out, nominal = tables.get("leave_one_motion_out", {}), tables.get("nominal", {})
     out = []
     for motion, row in left_out.items():
@@ -214,14 +214,14 @@ def unpredicted(tables: Mapping[str, Table]) -> list[str]:
         if motion != "mean" and (lost_m > _CLEARLY_M or lost_rad > _CLEARLY_RAD):
             out.append(
                 f"a fit without {motion} predicts it worse than nominal parameters do ({_errors(row)} "
-                f"against {_errors(before)}): motions that are not among the recordings may come out as "
+                f"against {_errors(before)}): motions that are not among the recordings may be predicted as "
                 f"badly; keep {motion} among them and record every motion that the robot is going to drive"
             )
     return out
 
 
 def worse_as_twist(deployed: Deployed, model: str) -> list[str]:
-    """Motions on which `--deploy twist` loses much of what the parameters reach, in one line."""
+    """One line if `--deploy twist` is clearly worse than the parameters on some motions; else none."""
     lost = []
     for motion, row in deployed.parameters.items():
         other = deployed.twist[motion]
@@ -231,7 +231,7 @@ def worse_as_twist(deployed: Deployed, model: str) -> list[str]:
     if not lost:
         return []
     return [
-        f"with --deploy twist errors grow on {', '.join(lost)}: one 3x3 matrix cannot stand in for the model "
+        f"with --deploy twist errors grow on {', '.join(lost)}: one 3x3 matrix cannot replace the model "
         f"{model} there; deploy the parameters"
     ]
 

@@ -1,4 +1,4 @@
-"""Pose tracking: control laws, the module layer, limits."""
+"""Pose tracking: control laws, the module layer, limits, and scripted joint commands."""
 
 from hil.controller.tracking import TrackingController, make_controller, make_modules
 

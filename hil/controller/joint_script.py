@@ -1,6 +1,6 @@
-"""Joint commands by a script instead of a trajectory, as a controller.
+"""A controller that commands joints by a script instead of tracking a trajectory.
 
-A script is plain data: a recording carries it, and replay computes the same setpoints from it again.
+A script is plain data. A recording stores it, and replay computes the same setpoints from it.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ SCRIPT = "script"
 
 @dataclass(frozen=True)
 class Stretch:
-    """Part of a script: wheel rates that hold, and steering angles reached by a ramp from the ones before.
+    """Part of a script: constant wheel rates, and steering angles reached by a ramp or a step.
 
     Attributes:
-        duration_s: how long.
+        duration_s: duration.
         rate_rad_s: (4,) wheel rates.
-        steering_rad: (4,) at its end; None for as before.
-        ramp: whether the steering goes there evenly; else at once.
+        steering_rad: (4,) steering angles at its end; None to keep the angles before.
+        ramp: whether the steering angles change linearly over the duration; else in a step.
     """
 
     duration_s: float
@@ -38,15 +38,15 @@ class Stretch:
 
 
 class JointScript:
-    """Stretches one after the other; afterwards the wheels rest.
+    """Consecutive stretches; afterwards the wheels are at rest.
 
     Args:
         stretches: at least one.
-        pose: (3,) where the robot stands: its reference all along.
-        steering_rad: (4,) where the steering stands.
+        pose: (3,) pose at the start, used as the reference at all times.
+        steering_rad: (4,) steering angles at the start.
 
     Raises:
-        UsageError: no time in it.
+        UsageError: the total duration is not above 0.
     """
 
     def __init__(self, stretches: Sequence[Stretch], pose: ArrayLike, steering_rad: ArrayLike) -> None:
@@ -63,15 +63,15 @@ class JointScript:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last stretch's end."""
+        """Total duration of all stretches."""
         return float(self._times[-1])
 
     def sample(self, t_s: float) -> Reference:
-        """The robot is not meant to leave where it stands."""
+        """Reference at time `t_s`: always the start pose, at rest."""
         return Reference(t_s, self.pose, np.zeros(3), np.zeros(3))
 
     def setpoint(self, t_s: float) -> WheelSetpoint:
-        """What to command at a time since the start."""
+        """Wheel setpoint at time `t_s` since the start."""
         k = min(int(np.searchsorted(self._times, t_s, side="right")) - 1, len(self._stretches) - 1)
         now, part = self._stretches[k], 1.0
         if now.ramp:
@@ -81,7 +81,7 @@ class JointScript:
         return WheelSetpoint(rate, steering)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain data from which `from_mapping` builds the same script, bit for bit."""
+        """Plain data from which `from_mapping` restores the same script exactly."""
         stretches = [
             {
                 "duration_s": s.duration_s,
@@ -100,7 +100,7 @@ class JointScript:
 
     @classmethod
     def from_mapping(cls, data: Mapping[str, Any]) -> JointScript:
-        """The inverse of `to_mapping`; raises `UsageError` for anything else."""
+        """Script from the data of `to_mapping`; raises `UsageError` for anything else."""
         try:
             stretches = [Stretch(**stretch) for stretch in data["stretches"]]
             return cls(stretches, data["pose"], data["steering_rad"])
@@ -109,7 +109,7 @@ class JointScript:
 
 
 class ScriptedController(Controller):
-    """A controller that looks at the time only."""
+    """A controller that depends on the time only."""
 
     def __init__(self, script: JointScript) -> None:
         self._script = script
@@ -118,11 +118,11 @@ class ScriptedController(Controller):
         """Do nothing: there is no state."""
 
     def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
-        """What the script says for the reference's time.
+        """Wheel setpoint of the script at the reference's time.
 
         Args:
             state: not used.
-            reference: its time says where the script is.
+            reference: only its time is used.
             wheels: not used.
         """
         return self._script.setpoint(reference.t_s)

@@ -18,9 +18,9 @@ from hil.core.geometry import Array, Three, rotation2, wrap
 from hil.core.signals import Reference, RobotState
 
 _NINE = Struct("9d")
-"""Packs numbers into an array in a third of the time that a new array of them takes."""
+"""Packs numbers into an existing array in a third of the time of making a new one."""
 _STEADY_S = 5.0
-"""The gains are computed backwards from this long after the end of the path: at its end they are steady."""
+"""Extra horizon after the end of the path, so that the gains are steady at its end."""
 
 
 def pose_error(state: RobotState, reference: Reference) -> Three:
@@ -31,13 +31,13 @@ def pose_error(state: RobotState, reference: Reference) -> Three:
 
 
 def beyond(error: Three, dead_zone: Three) -> Three:
-    """The part of an error that exceeds a dead zone; zero inside, continuous at its edge."""
+    """Part of an error that exceeds a dead zone: zero inside, continuous at its edge."""
     (ahead, left, turn), (ahead_zone, left_zone, turn_zone) = error, dead_zone
     return ahead - within(ahead, ahead_zone), left - within(left, left_zone), turn - within(turn, turn_zone)
 
 
 def within(value: float, limit: float) -> float:
-    """The number between -limit and limit that is nearest."""
+    """The value clipped to [-limit, limit]."""
     return limit if value > limit else -limit if value < -limit else value
 
 
@@ -46,7 +46,7 @@ class Law(Protocol):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget all state."""
+        """Reset all state."""
 
     @abstractmethod
     def twist(self, error: Three, reference: Reference) -> Array:
@@ -54,40 +54,40 @@ class Law(Protocol):
 
     @abstractmethod
     def learn(self, error: Three) -> None:
-        """Take an error into the integral, if there is one.
+        """Add an error to the integral, if there is one.
 
-        Called after `twist`, in cycles whose command the wheels can follow: an integral that also grew at
-        rest, at a limit or while modules steer would be let loose afterwards.
+        Called after `twist`, only in cycles whose command the wheels can follow (anti-windup): an integral
+        that also grew at rest, at a limit or while modules steer would overshoot afterwards.
         """
 
 
 class NonlinearLaw(Law):
     """Model-based law t = t_d + K e, the body form of the authors' per-wheel law.
 
-    With V = |e|^2 / 2 it gives V' = -e' K e without slip; a slip velocity d leaves e = d / k
-    (beyond the dead zone that the caller takes off).
+    With V = |e|^2 / 2, V' = -e' K e without slip. A slip velocity d leaves a steady error e = d / k (beyond
+    the dead zone, which the caller subtracts).
     """
 
     def __init__(self, gains: tuple[float, float, float]) -> None:
         self.gains = np.array(gains)
 
     def reset(self) -> None:
-        """No state to forget."""
+        """Do nothing: this law has no state."""
 
     def twist(self, error: Three, reference: Reference) -> Array:
         """Body twist (3,): feed-forward plus proportional correction."""
         return np.asarray(reference.twist_body + self.gains * error, dtype=np.float64)
 
     def learn(self, error: Three) -> None:
-        """Nothing: this law has no integral over the error."""
+        """Do nothing: this law has no integral."""
 
 
 @lru_cache(maxsize=4096)
 def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Array]:
     """Discrete A (9, 9) and B (9, 3) of z = (e, integral of e, lagged correction), input: correction.
 
-    e' = -w S e - v, q' = e, v' = (u - v) / lag; exact discretisation by the matrix exponential. Drives of one
-    process share what they ask for, so the arrays are read-only.
+    e' = -w S e - v, q' = e, v' = (u - v) / lag; exact discretisation by the matrix exponential. The arrays
+    are cached and shared between callers, so they are read-only.
 
     Args:
         omega_rad_s: turn rate of the reference, rad/s.
@@ -134,9 +134,9 @@ def riccati_gains(models: list[tuple[Array, Array]], state_cost: Array, input_co
 def gains_along(
     omegas_rad_s: tuple[float, ...], dt_s: float, lag_s: float, weights: tuple[float, float, float]
 ) -> tuple[Array, ...]:
-    """What an error (9,) of `lag_model` is answered with at each step, (3, 9): -K_k of `riccati_gains`.
+    """Feedback matrices (3, 9) on the state (9,) of `lag_model` at each step: -K_k of `riccati_gains`.
 
-    Drives of one process along the same path share them, so the arrays are read-only.
+    They are cached and shared between runs along the same path, so they are read-only.
 
     Args:
         omegas_rad_s: turn rate of the reference at each step, rad/s.
@@ -164,7 +164,7 @@ class OptimalLaw(Law):
         dt_s: control period.
         lag_s: lag between command and motion.
         weights: (state, integral, input) diagonal weights; integral 0 switches it off.
-        clamp: bound of the integral states.
+        clamp: largest magnitude of the integral states.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class OptimalLaw(Law):
     ) -> None:
         steps = max(2, round(duration_s / dt_s) + 2)
         times_s = (min(k * dt_s, duration_s) for k in range(steps))
-        omegas = [round(float(omega_at(t_s)), 4) + 0.0 for t_s in times_s]  # -0.0 is no other rate
+        omegas = [round(float(omega_at(t_s)), 4) + 0.0 for t_s in times_s]  # -0.0 becomes 0.0, for the cache
         beyond_the_end = [omegas[-1]] * round(_STEADY_S / dt_s)
         self._gains = gains_along((*omegas, *beyond_the_end), dt_s, lag_s, weights)[:steps]
         self._dt_s, self._clamp, self._decay = dt_s, clamp, float(np.exp(-dt_s / lag_s))
@@ -189,7 +189,7 @@ class OptimalLaw(Law):
         self.reset()
 
     def reset(self) -> None:
-        """Empty integral and lag states."""
+        """Reset integral and lag states to zero."""
         self._integral: Three = (0.0, 0.0, 0.0)
         self._lagged: Three = (0.0, 0.0, 0.0)
 
@@ -205,7 +205,7 @@ class OptimalLaw(Law):
         return reference.twist_body + correction
 
     def learn(self, error: Three) -> None:
-        """One step of the integral over the error, within its clamp."""
+        """Integrate the error over one step, within the clamp."""
         if self._integrates:
             dt_s, most, (x, y, turn) = self._dt_s, self._clamp, self._integral
             ahead, left, turned = error

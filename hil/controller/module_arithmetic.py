@@ -1,6 +1,6 @@
-"""The arithmetic of the module layer for four wheels, on a flat vector.
+"""Arithmetic of the module layer for four wheels, on one flat vector.
 
-Between both functions numpy takes sines and cosines, whose last bit may be another one in machine code.
+Between `steer` and `drive` numpy computes the sines and cosines: compiled code may differ in the last bit.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ inner(wrap)
 _QUARTER_RAD = math.pi / 2.0
 _FOLLOWING = 0.9
 
-# Places in the vector, four numbers each where nothing else is said, SI units.
-ZERO, RADIUS = 0, 4  # of the wheels
-SPEED, ANGLE = 8, 12  # that the twist wants: never negative, and from the zero
-MEASURED, HELD, SENT = 16, 20, 24  # steering angles: now, wanted, on the way there
-TURNED = 28  # (12,) from measured to wanted angle; headings at the measured and at the next angle
+# First index of each part of the vector; four numbers each unless noted, SI units.
+ZERO, RADIUS = 0, 4  # steering zeros and radii of the wheels
+SPEED, ANGLE = 8, 12  # wheel speeds (not negative) and headings by inverse kinematics
+MEASURED, HELD, SENT = 16, 20, 24  # steering angles: measured, target, last set-point on the way there
+TURNED = 28  # (12,) from measured to target angle; headings at the measured and at the next angle
 NEXT = 40  # steering angles to command
-ASKED, GIVEN, RATE = 44, 48, 52  # signed speeds that are wanted and given; wheel rates to command
-COSINE, SINE = 56, 68  # (12,) of `TURNED`, (8,) of the headings
+ASKED, GIVEN, RATE = 44, 48, 52  # signed speeds, requested and after limits; wheel rates to command
+COSINE, SINE = 56, 68  # cosines (12,) of `TURNED`, sines (8,) of the headings
 ROLLED = 76  # (2, 8) wheel vectors at both headings
-CONTRADICTING = 92  # (8, 8) takes wheel vectors to what no motion of a rigid body explains
+CONTRADICTING = 92  # (8, 8) projection of wheel vectors on their part that no rigid-body motion explains
 SIZE = 156
 
 
@@ -44,15 +44,15 @@ class ModuleLimits(NamedTuple):
 def optimize(
     speed: float, angle_rad: float, measured_rad: float, limits: ModuleLimits
 ) -> tuple[float, float]:
-    """Speed and the equivalent angle nearest to the measured one, within the steering range.
+    """Signed speed and the equivalent angle nearest to the measured one, within the steering range.
 
-    Never asks for a turn of more than a quarter plus the hysteresis unless the range forces it.
+    The turn never exceeds a quarter turn plus the hysteresis, unless the steering range forces it.
 
     Args:
-        speed: of the wheel, signed, m/s.
-        angle_rad: steering angle wanted.
-        measured_rad: steering angle now.
-        limits: of the module.
+        speed: requested wheel speed, signed, m/s.
+        angle_rad: requested steering angle.
+        measured_rad: measured steering angle.
+        limits: limits of the module.
     """
     near = measured_rad + wrap(angle_rad - measured_rad)
     if abs(near - measured_rad) > _QUARTER_RAD + limits.flip_hysteresis_rad:
@@ -64,12 +64,12 @@ def optimize(
 
 @kernel
 def steer(n: Array, limits: ModuleLimits, reach_rad: float) -> None:
-    """Angles to hold and to command next, and the headings that follow from them.
+    """Compute the steering angles to hold and to command next, and the headings that follow from them.
 
     Args:
-        n: (156,) of which it reads `ZERO`, `SPEED`, `ANGLE`, `MEASURED`, `HELD` and `SENT`.
-        limits: of the modules.
-        reach_rad: by how much a module may be steered further; all are slowed alike and arrive together.
+        n: (156,) vector; reads `ZERO`, `SPEED`, `ANGLE`, `MEASURED`, `HELD` and `SENT`.
+        limits: limits of the modules.
+        reach_rad: largest steering step; all modules are slowed alike and arrive together.
     """
     limits, farthest = ModuleLimits(*limits), 0.0
     for i in range(4):
@@ -100,15 +100,15 @@ def steer(n: Array, limits: ModuleLimits, reach_rad: float) -> None:
 
 @kernel
 def drive(n: Array, limits: ModuleLimits, share: float) -> tuple[float, bool]:
-    """Wheel rates to command, and the wheel vectors before they were slowed by a share.
+    """Compute the wheel rates to command, and the wheel vectors before they were slowed by `share`.
 
     Args:
-        n: (156,) of which it reads `ASKED`, `COSINE`, `SINE`, `RADIUS` and `CONTRADICTING`.
-        limits: of the modules.
-        share: by which all wheels are slowed at last.
+        n: (156,) vector; reads `ASKED`, `COSINE`, `SINE`, `RADIUS` and `CONTRADICTING`.
+        limits: limits of the modules.
+        share: final factor on the speed of all wheels.
 
     Returns:
-        By how much a wheel slips at most, m/s, but for rounding, and whether the wheels follow the twist.
+        Largest slip of a wheel, m/s, up to rounding, and whether the wheels follow the twist.
     """
     limits = ModuleLimits(*limits)
     fastest, turning, follows = 0.0, False, True
@@ -138,7 +138,7 @@ def drive(n: Array, limits: ModuleLimits, share: float) -> tuple[float, bool]:
 
 @inner
 def _slip(n: Array) -> float:
-    """What the rigid-body motion that fits all wheels best, by least squares, leaves of one at most."""
+    """Largest slip of a wheel, m/s: its residual from the least-squares rigid-body motion."""
     most = 0.0
     for row in range(ROLLED, ROLLED + 16, 8):
         for i in range(CONTRADICTING, CONTRADICTING + 8, 2):

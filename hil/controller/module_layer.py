@@ -22,19 +22,19 @@ from hil.support.numba_jit import compile_for, plain
 __all__ = ["ModuleLayer", "ModuleLimits", "optimize"]
 
 _SURELY = 0.999
-"""Below this share of a limit a number is below it in whichever order it was summed up."""
+"""A value below this share of a limit is below it whatever the rounding of its sum."""
 
 
 class ModuleLayer:
-    """Keeps each module's held angle between calls.
+    """Turns body twists into wheel setpoints; stores each module's held angle between calls.
 
     Args:
-        geometry: of the wheels.
-        limits: of the modules.
+        geometry: calibrated wheel parameters.
+        limits: limits of the modules.
         dt_s: period of the loop, s.
 
     Attributes:
-        following: whether the latest twist is what the wheels were commanded: not held, limited or slowed.
+        following: whether the wheels were commanded the latest twist in full: not held, limited or slowed.
     """
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:
@@ -59,27 +59,27 @@ class ModuleLayer:
         self.reset()
 
     def reset(self) -> None:
-        """Forget held and sent angles: they start again from the measured ones."""
+        """Discard held and sent angles; they start again from the measured ones."""
         self.following = self._holds = False
 
     def hold(self, measured_rad: Array) -> WheelSetpoint:
-        """Wheels at rest at the held, or else the measured, steering angles (4,), rad."""
+        """Setpoint with the wheels at rest, at the held or else the measured steering angles (4,), rad."""
         self._begin(measured_rad)
         self._sent[:] = self._held
         self.following = False
         return WheelSetpoint(np.zeros(4), self._held.copy())
 
     def _begin(self, measured_rad: Array) -> None:
-        """Hold the measured angles where none are held yet."""
+        """Set held and sent angles to the measured ones where none are held yet."""
         if not self._holds:
             self._held[:] = self._sent[:] = measured_rad
             self._holds = True
 
     def allocate(self, twist_body: Array, measured_rad: Array) -> WheelSetpoint:
-        """Setpoint for a twist (3,) given the measured steering angles (4,).
+        """Setpoint for a body twist (3,), given the measured steering angles (4,), rad.
 
-        Sine, cosine, angle, hypotenuse and matrix product are numpy's, whose last bit may be another one than
-        machine code's; `dot` is the product of `@` at a third of its cost.
+        numpy computes sine, cosine, angle, hypotenuse and matrix product: compiled code may differ in the
+        last bit. `dot` gives the product of `@` at a third of its cost.
         """
         n, limits = self._numbers, self.limits
         self._begin(measured_rad)
@@ -96,10 +96,10 @@ class ModuleLayer:
         return WheelSetpoint(self._rate.copy(), self._next.copy())
 
     def _slow(self) -> None:
-        """Slow all wheels alike, so that none slips by more than the limit.
+        """Slow all wheels alike, so that no wheel slips by more than the limit.
 
-        What a wheel slips is what the rigid-body motion that fits all wheels best, by least squares,
-        leaves of its velocity; at the angles that the wheels have and at those that they are sent to.
+        The slip of a wheel is the residual of its velocity from the least-squares rigid-body motion, at the
+        measured and at the commanded steering angles.
         """
         left = self._rolled.dot(self._contradicting).reshape(8, 2)
         peak = max(np.hypot(left[:, 0], left[:, 1]).tolist())

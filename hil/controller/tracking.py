@@ -1,4 +1,4 @@
-"""The controller of the loop: law, module layer, goal tolerance, and refusal of nonsense."""
+"""Controller of the loop: control law, module layer, goal tolerance, and a stop at values not finite."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from hil.robot.trajectories import Trajectory
 
 
 class TrackingController(Controller):
-    """Follows a reference; at the goal it holds, lest the modules be set against each other.
+    """Follows a reference; within the goal tolerance it stops the wheels and holds their angles.
+
+    Small corrections at the goal would steer the modules against each other.
 
     Args:
-        law: from error to twist.
-        modules: from twist to wheels.
-        dead_zone: (3,) errors that count as none, m, m, rad.
+        law: computes the body twist from the error.
+        modules: computes wheel setpoints from the twist.
+        dead_zone: (3,) errors that count as zero, m, m, rad.
         goal_position_m, goal_heading_rad: errors within which the goal is reached.
     """
 
@@ -42,17 +44,17 @@ class TrackingController(Controller):
         self._goal_position_m, self._goal_heading_rad = goal_position_m, goal_heading_rad
 
     def reset(self) -> None:
-        """Forget integrators and held angles."""
+        """Reset the law's integrators and the held angles."""
         self._law.reset()
         self._modules.reset()
 
     def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
-        """Wheel setpoint for now.
+        """Wheel setpoint for this cycle.
 
         Args:
             state: estimate, pose in the wall frame.
             reference: pose in the wall frame, and twist.
-            wheels: newest aligned wheels.
+            wheels: newest wheel measurement, aligned in time.
 
         Raises:
             SafetyStop: `not_finite` when state, reference or the law's output is not finite.
@@ -60,7 +62,7 @@ class TrackingController(Controller):
         error = pose_error(state, reference)
         outside = beyond(error, self._dead_zone)
         twist = self._law.twist(outside, reference)
-        if not math.isfinite(sum(error) + sum(twist.tolist())):  # of what is not finite, no error is
+        if not math.isfinite(sum(error) + sum(twist.tolist())):  # NaN and inf carry over to the sum
             raise SafetyStop("not_finite", "state, reference or gains are not finite")
         at_goal = (
             reference.done
@@ -76,12 +78,12 @@ class TrackingController(Controller):
 
 
 def make_modules(config: ControlConfig, geometry: WheelGeometry, *, rate_hz: float) -> ModuleLayer:
-    """What turns body twists into setpoints of the wheels, within the limits of a configuration.
+    """Module layer with the limits of a configuration.
 
     Args:
         config: `[control]` of the bench file.
-        geometry: of the wheels.
-        rate_hz: of the loop.
+        geometry: wheel parameters.
+        rate_hz: rate of the loop, Hz.
     """
     limits = ModuleLimits(
         config.wheel_speed_m_s,
@@ -97,13 +99,13 @@ def make_modules(config: ControlConfig, geometry: WheelGeometry, *, rate_hz: flo
 def make_controller(
     config: ControlConfig, geometry: WheelGeometry, trajectory: Trajectory, *, rate_hz: float = 100.0
 ) -> TrackingController:
-    """Controller of a configuration for one trajectory; the optimal law's gains are computed here.
+    """Tracking controller for one trajectory; computes the gains of the optimal law.
 
     Args:
         config: `[control]` of the bench file.
-        geometry: of the wheels.
-        trajectory: to follow.
-        rate_hz: of the loop.
+        geometry: wheel parameters.
+        trajectory: trajectory to follow.
+        rate_hz: rate of the loop, Hz.
     """
     dt_s = 1.0 / rate_hz
     law: Law = NonlinearLaw(config.gains)

@@ -1,7 +1,7 @@
-"""Recordings of other origin as cycle records: one cycle per wheel sample.
+"""Converts recordings of other origin to cycle records: one cycle per wheel sample.
 
-Nothing is estimated or commanded in such a run: it is there to be replayed through estimators, drawn,
-and compared like one of our own. It begins where odometry begins in `hil evaluate`.
+Nothing is estimated or commanded in such a run. It serves to be replayed through estimators, plotted, and
+compared like a run of the bench. It begins where odometry begins in `hil evaluate`.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _USABLE = (True,) * 4
 
 
 def to_run(recording: Recording) -> RecordedRun:
-    """A recording as a run that starts at its first ground truth within the wheel log, see `start_of`."""
+    """Convert a recording to a run that starts at its first ground truth in the wheel log; see `start_of`."""
     start = RobotState(0, start_of(recording).pose, np.zeros(3), START_COVARIANCE)
     return RecordedRun(RunStart(start, "odometry"), to_cycles(_from_first_truth(recording)))
 
 
 def _from_first_truth(recording: Recording) -> Recording:
-    """Without the wheel rows before the first ground truth, at which the wheels are interpolated."""
+    """Cut the wheel rows before the first ground truth, and interpolate the wheels at that instant."""
     at_s = wheel_edges(recording, truth_window(recording)[0][0], recording.t_s[-1])
     angle, steering, rate, receive_s = (
         interpolate(at_s, recording.t_s, values)
@@ -60,7 +60,7 @@ def _from_first_truth(recording: Recording) -> Recording:
 
 
 def to_cycles(recording: Recording) -> tuple[CycleRecord, ...]:
-    """Every wheel row of a recording as a cycle, with the ground truth since the one before."""
+    """Convert every wheel row of a recording to a cycle, with the ground truth since the row before."""
     t_ns = [nanoseconds(t) for t in (recording.t_s - recording.t_s[0]).tolist()]
     edges = np.searchsorted(recording.truth_t_s, recording.t_s, side="right")
     rates = _rates(recording)
@@ -91,7 +91,7 @@ def _truth(recording: Recording, i: int) -> PoseMeasurement:
 
 
 def _cycle(measured: Measurements) -> CycleRecord:
-    """A cycle in which nothing was estimated and nothing commanded."""
+    """Cycle record with measurements only; estimate and commands are NaN."""
     t_ns, unknown, none = measured.t_ns, np.full(3, np.nan), np.full(4, np.nan)
     return CycleRecord(
         measured.cycle,

@@ -1,4 +1,4 @@
-"""Checks that a file is a whole bag before it is read, with a remedy where it is not."""
+"""Checks, before a bag is read, that the file is complete and of the right kind."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ CONVERT = "convert it to a rosbag2 recording, with the messages of ROS 2 as CDR"
 
 
 def check_bag(path: Path) -> None:
-    """Look through a `.mcap` file or a rosbag2 folder.
+    """Check a `.mcap` file, or all files of a rosbag2 folder.
 
     Raises:
-        DataError: it cannot be read, is damaged or of another kind.
+        DataError: a file cannot be read, is damaged or of another kind.
     """
     try:
         for file in _files(path):
@@ -45,7 +45,7 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 def _check(path: Path, stream: BinaryIO) -> None:
-    """Look through one file; SQLite, and what is packed as a whole, is left to its reader."""
+    """Check one file; SQLite and compressed files are left to their readers."""
     size = path.stat().st_size
     head = stream.read(len(_SQLITE))
     stream.seek(0)
@@ -56,7 +56,7 @@ def _check(path: Path, stream: BinaryIO) -> None:
 
 
 def _kind(head: bytes) -> str:
-    """What a file is that begins so, for a message."""
+    """Description of a file's kind by its first bytes, for a message."""
     known = next((kind for magic, kind in _KINDS if head.startswith(magic)), "")
     if known or not head:
         return known or "empty"
@@ -64,7 +64,7 @@ def _kind(head: bytes) -> str:
 
 
 def _for_kind(head: bytes) -> str:
-    """What to do with such a file."""
+    """Remedy for a file of this kind."""
     if head == _SQLITE:
         return "give it a name that ends with .db3"
     if head.startswith(b"#ROSBAG"):
@@ -73,7 +73,7 @@ def _for_kind(head: bytes) -> str:
 
 
 def _check_origin(path: Path, profile: str, indexed: BinaryIO | None) -> None:
-    """Raises `DataError` for a sound MCAP file that something else than rosbag2 wrote."""
+    """Raise `DataError` for a sound MCAP file that was not written by rosbag2."""
     from mcap.reader import make_reader
 
     encodings: set[str] = set()
@@ -112,7 +112,7 @@ def _check_mcap(path: Path, stream: BinaryIO, size: int) -> None:
         _check_origin(path, profile, stream if indexed else None)
     except DataError:
         raise
-    except Exception as error:  # whatever the library makes of damaged bytes
+    except Exception as error:  # the library may raise anything on damaged bytes
         cut = f"it ends at byte {size}, within a record"
         why = cut if ends_early(error) else str(error) or type(error).__name__
         raise DataError(

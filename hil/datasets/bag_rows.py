@@ -1,11 +1,11 @@
-"""Rows of a ROS 2 bag: wheels from `sensor_msgs/JointState`, planar ground truth from the poses of a topic.
+"""Rows of a ROS 2 bag: wheels from `sensor_msgs/JointState`, planar ground truth from pose messages.
 
-Publishers of ros2_control may send drive and steering apart. A row is then an instant of the first drive
-joint. The other joints are interpolated to it between two of their own messages that are at most 0.1 s apart,
-and are NaN elsewhere, as they are where a counter wraps between the two.
+Publishers of ros2_control may send drive and steering joints in separate messages. A row is then an instant
+of the first drive joint. The other joints are interpolated to it between two of their own messages at most
+0.1 s apart. Elsewhere, and where a counter wraps between the two messages, they are NaN.
 
-A quaternion that is no rotation, as the 0 0 0 0 of what tracks positions alone, is no heading. A covariance
-of -1 says of a value that it is not known.
+A quaternion that is no rotation (for example 0 0 0 0 from a system that tracks positions only) is no heading.
+A covariance of -1 marks a value as unknown.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from hil.datasets.topic_map import TruthTopic
 from hil.datasets.truth_jumps import Bools
 
 _UNIT = (0.9, 1.1)
-"""Square of the length of a quaternion that is a rotation."""
-_NO_HEADING = "ground-truth messages whose quaternion is no rotation left out: they hold no heading"
-_UNKNOWN = "ground-truth messages whose covariance (-1) says that their pose is not known left out"
+"""Range of the squared norm of a quaternion that counts as a rotation."""
+_NO_HEADING = "ground-truth messages left out because their quaternion is no rotation, so no heading"
+_UNKNOWN = "ground-truth messages left out because a covariance of -1 marks their pose as unknown"
 _PLANAR = (0, 7, 35)
-"""Variances of x, y and the turn about z, or those of the same axes of a frame whose y axis is upwards."""
+"""Indices of the variances of x, y and the turn about z; `_PLANAR_Y_UP`: in a frame whose y axis is up."""
 _PLANAR_Y_UP = (0, 14, 28)
 _DRIVES = 4
 
 
 class TruthPoses:
-    """What the messages of one topic say of where the robot is.
+    """Collects the poses of the robot from the messages of one topic.
 
     Args:
         path: the bag, for messages.
-        topic: that they come by, with axes and mount of the body.
+        topic: topic of the poses, with axes and mount of the body.
     """
 
     def __init__(self, path: Path, topic: TruthTopic) -> None:
@@ -50,7 +50,7 @@ class TruthPoses:
         self._repairs = dict.fromkeys((_NO_HEADING, _UNKNOWN), 0)
 
     def add(self, message: Any) -> None:
-        """Take the poses of a message."""
+        """Add the pose of a message."""
         pose = getattr(message.pose, "pose", message.pose)
         spread = getattr(message.pose, "covariance", None)
         q, at = pose.orientation, pose.position
@@ -66,7 +66,7 @@ class TruthPoses:
             self._poses.append(self._planar((at.x, at.y, at.z), (q.w, q.x, q.y, q.z)))
 
     def rows(self) -> tuple[Bools, Array, dict[str, int]]:
-        """Which messages (n,) hold a pose, the poses (m, 3) of the robot, m, m, rad, and what was left out.
+        """Mask (n,) of messages with a pose, the robot's poses (m, 3), m, m, rad, and counts of repairs.
 
         Raises:
             DataError: no message holds a heading.
@@ -76,7 +76,7 @@ class TruthPoses:
                 str(self._path),
                 f"{self._topic.topic}: none of {len(self._known)} messages holds a heading (a quaternion "
                 "that is a rotation, a covariance that is not -1)",
-                expected="poses of a rigid body: odometry is not held against positions alone",
+                expected="poses of a rigid body: odometry cannot be compared with positions alone",
                 remedy="let the capture system track a rigid body of three markers, and name its topic",
             )
         poses = np.array(self._poses, dtype=np.float64).reshape(-1, 3)
@@ -92,11 +92,11 @@ class TruthPoses:
 
 
 class JointRows:
-    """What the messages of one topic say of the joints of the wheels.
+    """Collects the joint values of the wheels from the messages of one topic.
 
     Args:
         path: the bag, for messages.
-        topic: that they come by.
+        topic: topic of the messages.
         names: four drive joints and four steering joints, order FL, BL, BR, FR.
     """
 
@@ -107,7 +107,10 @@ class JointRows:
         self._others: dict[str, None] = {}
 
     def add(self, message: Any) -> None:
-        """Take a message; raises `DataError` where it has fewer positions than joints, and no rates alone."""
+        """Add a message.
+
+        Raises `DataError` where it has fewer positions than joints, unless it has only rates.
+        """
         index = {name: i for i, name in enumerate(message.name)}
         named = [name in index for name in self._names]
         self._named.append(named)
@@ -130,10 +133,10 @@ class JointRows:
         """Times (n,) of the rows and (n, 12): angles of drive and steering, rad, and drive rates, rad/s.
 
         Args:
-            t_s: (m,) times of the messages, as they were added; at least one.
+            t_s: (m,) times of the messages, in the order in which they were added; at least one.
 
         Raises:
-            DataError: a joint that no message names.
+            DataError: no message contains one of the joints.
         """
         named, values = np.array(self._named, dtype=bool), np.array(self._rows, dtype=np.float64)
         missing = [name for k, name in enumerate(self._names) if not named[:, k].any()]
@@ -160,7 +163,7 @@ def _number(values: Any, i: int) -> float:
 
 
 def _at(at_s: Array, t_s: Array, values: Array) -> Array:
-    """Columns of one joint, its angle first, at other instants."""
+    """Interpolate the columns of one joint, its angle first, to other instants."""
     t_s, order = np.unique(t_s, return_index=True)
     values = values[order]
     found = between_samples(at_s, t_s, values, longest=TRUTH_GAP_S, before=TRUTH_GAP_S, after=TRUTH_GAP_S)

@@ -1,9 +1,9 @@
-"""Reduces recordings to what a fit needs: wheel vectors per block of time, truth at the block ends.
+"""Reduces recordings to the data for a fit: wheel vectors per block of time, truth at the block ends.
 
-Two facts make a fit quick: the wheel vectors dphi (cos d, sin d)
-do not depend on the parameters, and increments may be summed to blocks of 0.1 s, because the SE(2)
-exponential takes care of the chord. Recordings are padded to one length so that all of them are
-integrated in one call; a padded block does not move the robot and has no weight.
+Two facts make a fit fast. The wheel vectors dphi (cos d, sin d) do not depend on the parameters; and
+increments may be summed to blocks of 0.1 s, because the SE(2) exponential accounts for the chord. Recordings
+are padded to one length so that all of them are integrated in one call; a padded block does not move the
+robot and has no weight.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from hil.datasets.truth_jumps import Bools
 
 @dataclass(frozen=True)
 class Blocks:
-    """R recordings of up to N blocks.
+    """Blocks of R recordings, up to N each.
 
     Attributes:
-        names, motions: of each recording.
+        names, motions: name and motion of each recording.
         wheel_rad: (R, N, 8) dphi_i cos d_i, dphi_i sin d_i summed over the block, rad.
-        truth: (R, N, 3) pose at the end of the block; `start` (R, 3) pose at the first one's start.
+        truth: (R, N, 3) pose at the end of the block; `start` (R, 3) pose at the start of the first block.
         counts: (R,) number of real blocks.
-        known: (R, N) where ground truth is known at the end of the block; False for padding.
+        known: (R, N) whether ground truth is known at the end of the block; False for padding.
         block_s: typical length of a block, s.
     """
 
@@ -58,7 +58,7 @@ class Blocks:
         return np.asarray(self.mask.sum(axis=1), dtype=np.float64)
 
     def subset(self, index: Sequence[int]) -> Blocks:
-        """Some of the recordings."""
+        """The blocks of some of the recordings."""
         i = list(index)
         counts = self.counts[i]
         n = int(counts.max())
@@ -78,7 +78,7 @@ def reduce_recordings(recordings: Sequence[Recording], block_s: float, signal: s
     """Sum wheel increments to blocks of `block_s` seconds.
 
     Args:
-        recordings: to reduce.
+        recordings: recordings to reduce.
         block_s: length of a block, s.
         signal: `position` or `velocity`: which wheel signal is summed.
     """
@@ -102,7 +102,7 @@ def reduce_recordings(recordings: Sequence[Recording], block_s: float, signal: s
 
 
 def _reduced(recording: Recording, block_s: float, signal: str) -> tuple[Array, Array, Bools]:
-    """Wheel vectors, poses at the blocks' ends and where they are known, of a recording."""
+    """Wheel vectors, poses at the blocks' ends, and whether these are known, of a recording; cached."""
     key = ("reduced", block_s, signal)
     if key not in recording.derived:
         edges_s, truth, known = checked_edges(recording, block_s)

@@ -1,4 +1,4 @@
-"""Repairs the rows of a log: numbers only, increasing stamps, and a count of each repair."""
+"""Repairs the rows of a log: drops rows without numbers, makes stamps increase, counts each repair."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ROLLED_RAD = 0.5
 _STAMPED_S = 1.0
 _DIPS, _MOST_DIPS = 2.0, 0.02
 INTEGRATED = (
-    "wheels whose angles are integrated from their rates and as wrong as those: a fit takes that for radii"
+    "wheels whose angles are integrated from their rates, with their errors: a fit takes these for radii"
 )
 
 
@@ -26,9 +26,9 @@ class Log:
     """Rows as read from a file, before repair.
 
     Attributes:
-        t_s: (n,) best time stamp (the source's own clock, shifted to the receiver's by its median).
-        values: (n, k).
-        receive_s: (n,) receive stamps where the file has them.
+        t_s: (n,) best time stamp, s (the source's clock, shifted to the receiver's by the median delay).
+        values: (n, k) values of the rows.
+        receive_s: (n,) receive stamps, s, where the file has them.
     """
 
     t_s: Array
@@ -37,20 +37,20 @@ class Log:
 
 
 def count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
-    """Add a number to the repairs of a name; 0 is none."""
+    """Add a number to the count of a repair; 0 adds no entry."""
     if int(number):
         repairs[what] = repairs.get(what, 0) + int(number)
 
 
 def count_gaps(repairs: dict[str, int], t_s: Array, what: str) -> None:
-    """Count steps of stamps (n,), s, over a tenth of a second and clearly longer than they usually are."""
+    """Count gaps in stamps (n,), s: steps over 0.1 s that are clearly longer than the median step."""
     lasts_s = np.diff(t_s)
     gap_s = max(_GAP_S, round(_GAPS_LONGER * float(np.median(lasts_s)), 2))
     count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + _MIN_STEP_S))
 
 
 def emptiest(log: Log, names: tuple[str, ...]) -> str:
-    """The column in which most rows of a log hold no number, in brackets; empty where all do."""
+    """Remark, in brackets, on the column with the most rows without a number; empty where none lack."""
     values = credible(np.column_stack([log.t_s, log.values[:, : len(names) - 1]]))
     lacking = np.count_nonzero(~np.isfinite(values), axis=0)
     worst = int(np.argmax(lacking))
@@ -65,10 +65,10 @@ def clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Ar
     Receive stamps are made increasing the authors' way.
 
     Args:
-        log: as read.
-        needed: how many of its columns have to be numbers.
-        kind: what to call its rows.
-        repairs: counts what was repaired.
+        log: rows as read from the file.
+        needed: number of leading columns that must be finite.
+        kind: name of the rows in the repairs.
+        repairs: counts of repairs by name; changed in place.
     """
     t_s, values = credible(log.t_s), credible(log.values)
     receive_s = log.receive_s if log.receive_s is not None else t_s
@@ -90,17 +90,17 @@ def clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Ar
 
 
 def dips(t_s: Array) -> Rows:
-    """Rows of (n,) stamps that are before the row before them."""
+    """Indices of rows whose stamp, of (n,), is before that of the row before."""
     return np.asarray(np.flatnonzero(np.diff(t_s) < 0.0) + 1, dtype=np.int_)
 
 
 def most_dips(t_s: Array) -> float:
-    """How many `dips` rows (n,) in order may have; with more of them their order says nothing."""
+    """Largest number of `dips` that rows (n,) in order may have; with more the file has no time order."""
     return max(_DIPS, _MOST_DIPS * len(t_s))
 
 
 def without_stamp(t_s: Array) -> Bools:
-    """Which rows (n,) are stamped 0 between rows that are at 1 s or later: they have no stamp."""
+    """Mask of rows (n,) stamped 0 between rows at 1 s or later: these have no stamp."""
     out = np.zeros(len(t_s), dtype=np.bool_)
     if len(dips(t_s)) > most_dips(t_s):
         return out
@@ -109,7 +109,7 @@ def without_stamp(t_s: Array) -> Bools:
 
 
 def with_angles(log: Log, repairs: dict[str, int]) -> Log:
-    """The wheel log with angles integrated from the rates, where no wheel has angles and all have rates."""
+    """Integrate wheel angles from the rates, where no wheel has angles and all have rates."""
     if log.values.shape[1] < 12:
         return log
     angles, rates = (np.isfinite(log.values[:, k : k + 4]).any(axis=0) for k in (0, 8))
@@ -127,7 +127,7 @@ def with_angles(log: Log, repairs: dict[str, int]) -> Log:
 
 
 def recorded_rates(w: Array, repairs: dict[str, int]) -> Array:
-    """Wheel rates (n, 4) of rows w (n, 8 or 12); NaN where there are none, or only 0 while wheels roll."""
+    """Wheel rates (n, 4) of rows w (n, 8 or 12); NaN where missing, or all 0 while wheels roll."""
     if w.shape[1] < 12:
         return np.full((len(w), 4), np.nan)
     if not w[:, 8:12].any() and np.max(np.ptp(w[:, :4], axis=0)) > _ROLLED_RAD:
@@ -137,11 +137,11 @@ def recorded_rates(w: Array, repairs: dict[str, int]) -> Array:
 
 
 def credible(values: Array) -> Array:
-    """Numbers of a file, shape as given; NaN for what no quantity can be in any unit, and no sum can hold."""
+    """Values of a file, in the given shape; NaN in place of numbers too large for any unit and for sums."""
     return np.where(np.abs(values) < _CREDIBLE, values, np.nan)
 
 
 def increasing(t_s: Array) -> Array:
-    """Stamps (n,), s, made strictly increasing by pushing each at least 1 us past its predecessor."""
+    """Stamps (n,), s, made strictly increasing: each at least 1 us after its predecessor."""
     step = np.arange(len(t_s)) * _MIN_STEP_S
     return np.asarray(np.maximum.accumulate(t_s - step) + step, dtype=np.float64)

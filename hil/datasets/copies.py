@@ -1,4 +1,4 @@
-"""Recognises recordings of one drive, whatever their files are called and however they are written."""
+"""Recognises copies of a recording, under other file names and in other formats."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ALIKE_TRUTH = 1e-3
 
 
 def without_copies(recordings: Sequence[Recording]) -> list[Recording]:
-    """The first of each set of copies, in order; a repair names the others."""
+    """Drop copies: keep the first recording of each set, in order; a repair names the others."""
     out: list[Recording] = []
     for one in recordings:
         twin = next((k for k, other in enumerate(out) if is_copy(one, other)), None)
@@ -29,11 +29,11 @@ def without_copies(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def is_copy(one: Recording, other: Recording) -> bool:
-    """Whether two recordings are of one drive: the same wheel rows, and ground truth within 1 mm, 1 mrad.
+    """Whether two recordings are of one drive: same wheel rows, and ground truth within 1 mm and 1 mrad.
 
-    Line ends, compression and the digits of an export do not matter, nor do names. An export holds the ground
-    truth at the instants of the wheels: its rows lie on the line between those of its source, whose own rows
-    are off the line between the export's by their noise. So one of the two directions is enough.
+    Line ends, compression, digits of an export and names do not matter. An export contains the ground truth
+    at the instants of the wheels. Its rows lie on the line between the rows of its source, but the source's
+    rows are off the line between the export's rows by their noise. So agreement in one direction is enough.
     """
     if len(one.t_s) != len(other.t_s):
         return False
@@ -51,9 +51,9 @@ def is_copy(one: Recording, other: Recording) -> bool:
 
 
 def wheels_in_short(recording: Recording) -> list[float]:
-    """Number of wheel rows, their time (s), mean turns of the four wheels and mean steering angles (rad).
+    """Fingerprint: number of wheel rows, duration (s), mean turns and mean steering angles (rad).
 
-    Copies have the same, whatever their files. Two drives do not, where wheels are measured.
+    Copies have the same, whatever their files. Two measured drives do not.
     """
     turned = recording.wheel_angle_rad - recording.wheel_angle_rad[0]
     means = np.concatenate([turned.mean(axis=0), recording.steering_rad.mean(axis=0)])
@@ -61,14 +61,14 @@ def wheels_in_short(recording: Recording) -> list[float]:
 
 
 def same_wheels(one: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether two `wheels_in_short` are of one drive."""
+    """Whether two fingerprints of `wheels_in_short` are of one drive."""
     if len(one) != len(other) or one[0] != other[0] or not abs(one[1] - other[1]) < _ALIKE_S:
         return False
     return _alike(np.array(one[2:]), np.array(other[2:]), _ALIKE_RAD)
 
 
 def _on_line(at_s: Array, pose: Array, line_s: Array, line: Array) -> bool:
-    """Whether poses (n, 3) at times (n,) lie on the line through others, (m, 3) at (m,), where that is."""
+    """Whether poses (n, 3) at times (n,) lie on the polyline of others, (m, 3) at (m,), where both exist."""
     both = (at_s >= line_s[0]) & (at_s <= line_s[-1])
     return _alike(pose[both], interpolate(at_s[both], line_s, line), _ALIKE_TRUTH)
 

@@ -1,7 +1,7 @@
 """`Recording`: wheel log and ground truth of one run, checked and repaired, on one time axis.
 
-Whatever file a run came from (public CSV pair, plain CSV, MCAP), calibration and evaluation see this
-type. `build_recording` repairs what can be repaired, counts each repair, and refuses the rest.
+Calibration and evaluation use this type for every source (public CSV pair, plain CSV, MCAP).
+`build_recording` repairs what can be repaired, counts each repair, and refuses the rest.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _ROLLED_RAD, _LITTLE_RAD = 0.08, 0.02
 
 
 def fresh_rows(truth_t_s: Array, pose: Array, t_s: Array, angle: Array) -> Bools:
-    """Which rows (m,) of a ground truth say something: those that do not repeat the pose before them.
+    """Mask of ground-truth rows (m,) that do not repeat the pose before while the wheels roll.
 
-    Poses that are equal to the last bit count as repeated where a wheel turns by 0.08 rad (2 mm) meanwhile,
-    from the row on at which it has turned by a quarter of that. A robot at rest may be seen without noise.
+    Poses equal to the last bit count as repeated where a wheel turns by 0.08 rad (2 mm) meanwhile, starting
+    with the row at which it has turned by a quarter of that. A robot at rest may be measured without noise.
 
     Args:
         truth_t_s: (m,) times of the ground truth, s, increasing.
-        pose: (m, 3).
+        pose: (m, 3) poses.
         t_s: (n,) times of the wheel rows, s.
         angle: (n, 4) cumulative wheel angles, rad.
     """
@@ -61,17 +61,17 @@ class Recording:
     """One run of the robot; wheel order FL, BL, BR, FR.
 
     Attributes:
-        name: file or run name; `motion` groups repetitions; `sources` and `sha256` say where it is from.
-        t_s: (n,) strictly increasing, s; `truth_t_s` (m,) shares its axis.
+        name: file or run name; `motion` groups repetitions; `sources` and `sha256` are its files.
+        t_s: (n,) strictly increasing, s; `truth_t_s` (m,) has the same time axis.
         wheel_angle_rad: (n, 4) cumulative; `steering_rad` (n, 4).
         wheel_rate_rad_s: (n, 4) velocity register, NaN where the source has none.
         truth_pose: (m, 3) m, m, rad unwrapped.
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
-        repairs: what was repaired, by name and count.
-        problems: what of its file could not be read.
-        nominal: robot that it was read for.
-        later: what follows where its stamps step back, recordings of their own.
-        derived: what was computed from the recording alone, by a name; copies with other rows begin anew.
+        repairs: counts of repairs by name.
+        problems: parts of its file that could not be read.
+        nominal: nominal robot that it was read for.
+        later: parts after each step back of the stamps, as recordings of their own.
+        derived: cache of results computed from the recording alone; empty in copies made by `replace`.
     """
 
     name: str
@@ -94,11 +94,11 @@ class Recording:
 
     @property
     def has_rates(self) -> bool:
-        """Whether the velocity register was recorded."""
+        """Whether the velocity register was recorded for all rows."""
         return bool(np.all(np.isfinite(self.wheel_rate_rad_s)))
 
     def warnings(self) -> tuple[str, ...]:
-        """What was lost and what was repaired in words, one line each."""
+        """Losses and repairs, one line each."""
         of = f"its figures are of {self.t_s[-1] - self.t_s[0]:.1f} s that were read"
         return (
             *(f"{self.name}: {what}; {of}" for what in self.problems),
@@ -117,21 +117,21 @@ def build_recording(
     nominal: Nominal | None = None,
     repairs: Mapping[str, int] | None = None,
 ) -> Recording:
-    """Repair and check the two logs of a run; where stamps step back a part follows (`Recording.later`).
+    """Repair and check the two logs of a run; split it where stamps step back (`Recording.later`).
 
     Args:
-        name: what to call it in messages.
+        name: name of the recording, also in messages.
         wheels: columns phi_1..4, delta_1..4 and, optionally, wheel rates 1..4.
         truth: columns x, y, theta (theta may be wrapped).
         motion: group name; classified from the ground truth when empty.
         sources: files it was read from.
         sha256: digests of those files, in the same order.
-        nominal: robot that units and motion are judged by, the CAD model by default.
-        repairs: what the reader has repaired, by name and count.
+        nominal: nominal robot for the checks of units and motion, the CAD model by default.
+        repairs: counts of repairs made by the reader, by name.
 
     Raises:
-        DataError: too short, no ground truth, no overlap in time, units that cannot be right, or wheel
-            angles that leap or with unknown turns.
+        DataError: too short, no ground truth, no overlap in time, wrong units, or wheel angles that leap
+            or whose number of turns is unknown.
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
     parts, problems, refusals = list[Recording](), list[str](), list[DataError]()
@@ -155,7 +155,7 @@ def build_recording(
 def _build(
     name: str, where: str, wheels: Log, truth: Log, motion: str, robot: Nominal, repairs: dict[str, int]
 ) -> Recording:
-    """One recording of logs whose stamps go on; see `build_recording`."""
+    """One recording from logs without steps back; see `build_recording`."""
     check_time(where, wheels.t_s)
     t_s, w, receive_s = clean(with_angles(wheels, repairs), 8, "wheel", repairs)
     truth_t_s, pose, truth_receive_s = clean(truth, 3, "ground-truth", repairs)
@@ -236,7 +236,7 @@ def _build(
 def _without_jumps(
     where: str, t_s: Array, pose: Array, speed_m_s: float, robot: Nominal, repairs: dict[str, int]
 ) -> Bools:
-    """Which rows (m,) of a ground truth stay; raises `DataError` where that is not even half of them."""
+    """Mask of ground-truth rows (m,) to keep; raises `DataError` where that is less than half of them."""
     found = find_jumps(t_s, pose, speed_m_s, lever_m(robot.geometry))
     dropped = np.count_nonzero(~found.keep)
     if 2 * dropped > len(t_s):
@@ -258,12 +258,12 @@ def _without_jumps(
 
 
 def classify(angle: Array, pose: Array, radius_m: float) -> str:
-    """Motion name from what the robot did: one of the paper's six, or `other`.
+    """Motion name by wheels and ground truth: one of the paper's six, or `other`.
 
     Args:
         angle: (n, 4) cumulative wheel angles, rad.
         pose: (m, 3) ground truth, m, m, rad unwrapped.
-        radius_m: of the wheels.
+        radius_m: radius of the wheels.
     """
     turn = float(pose[-1, 2] - pose[0, 2])
     path_m = rolled_m(angle, radius_m)

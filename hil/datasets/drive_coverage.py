@@ -1,7 +1,7 @@
 """Checks that wheels and ground truth cover the same drive.
 
-Odometry is judged where there is both. A file that was cut, or a capture system that ended early, leaves a
-part of the drive that no error counts, and an error at the end that is none. A rest that only one of them saw
+Odometry is evaluated where both exist. A truncated file, or a capture system that ended early, leaves part of
+the drive out of all errors, and makes the error at the end meaningless. A rest covered by only one of them
 does not matter.
 """
 
@@ -23,19 +23,19 @@ _MOST_M, _MOST_SHARE = 0.02, 0.02
 _REST_S, _REST_M = 0.5, 2e-3
 _EDGE_ROWS = 5
 _MOST_ROWS = 98.0
-"""Percentile that stands for the largest: single rows that are wrong do not count."""
+"""Percentile used in place of the maximum, so that single wrong rows do not count."""
 
 
 @dataclass(frozen=True)
 class Unseen:
-    """A time at which one of both logs moves and the other has no rows.
+    """A span of time in which one log moves and the other has no rows.
 
     Attributes:
-        by: which lacks it, `wheels` or `ground truth`.
-        after: behind the last row of that one, else before its first.
-        lasts_s: how long it is, s.
-        moved_m: how far the other one goes from where it was seen, turns at the distance of the wheels, m.
-        under_way: the wheels roll where both can still be seen, next to it.
+        by: log without rows, `wheels` or `ground truth`.
+        after: whether the span is after the last row of that log, else before its first.
+        lasts_s: duration, s.
+        moved_m: largest distance of the other log from the edge, turns at the distance of the wheels, m.
+        under_way: whether the wheels roll next to the span, where both logs have rows.
     """
 
     by: str
@@ -45,22 +45,22 @@ class Unseen:
     under_way: bool
 
     def in_words(self) -> str:
-        """What moves when, for a message."""
+        """Description of the motion and its time, for a message."""
         other = "ground truth moves" if self.by == "wheels" else "wheels roll"
         when = "after the last" if self.after else "before the first"
         return f"the {other} {self.moved_m:.2f} m in the {self.lasts_s:.1f} s {when} row of the {self.by}"
 
 
 def covered(recording: Recording, nominal: Nominal) -> Recording:
-    """The recording, with a repair for each stretch of motion that only wheels or only ground truth saw.
+    """The recording, with a repair entry for each span of motion in only one of the logs.
 
     Args:
-        recording: to look at.
+        recording: recording to check.
         nominal: robot that it is read for.
 
     Raises:
-        DataError: more than 2 % of the way, and 20 mm, were not seen, and are the end of what the wheels
-            drove, go on from what was seen without a stop, or are more than it.
+        DataError: one log lacks more than 2 % of the way, and 20 mm, and this part is the end of the wheels'
+            drive, continues the covered part without a stop, or is longer than the covered part.
     """
     found = unseen(recording, nominal)
     if not found:
@@ -76,10 +76,10 @@ def covered(recording: Recording, nominal: Nominal) -> Recording:
 
 
 def unseen(recording: Recording, nominal: Nominal) -> list[Unseen]:
-    """Stretches of more than half a second and 10 mm of motion that only wheels or only ground truth saw.
+    """Spans over half a second in which only wheels or only ground truth moved by more than 10 mm.
 
     Args:
-        recording: to look at.
+        recording: recording to check.
         nominal: robot that it is read for.
     """
     wheel_s, truth_s = recording.t_s, recording.truth_t_s
@@ -108,12 +108,12 @@ def unseen(recording: Recording, nominal: Nominal) -> list[Unseen]:
 
 
 def _from_edge(rows: Array) -> Array:
-    """Rows (n, k) from the edge on, less where they stand there: the middle of the first five."""
+    """Rows (n, k), ordered from the edge on, less the median of the first five."""
     return np.asarray(rows - np.median(rows[:_EDGE_ROWS], axis=0), dtype=np.float64)
 
 
 def _apart_m(pose: Array, lever: float) -> Array:
-    """Sizes (n,) of moves (n, 3), turns at the distance `lever`, m."""
+    """Lengths (n,) of moves (n, 3), m, with turns at the distance `lever`."""
     return np.asarray(np.hypot(pose[:, 0], pose[:, 1]) + lever * np.abs(pose[:, 2]), dtype=np.float64)
 
 
@@ -122,7 +122,7 @@ def _furthest(ways_m: Array) -> float:
 
 
 def _rolled_m(recording: Recording, nominal: Nominal) -> tuple[float, float]:
-    """Way of the wheels while there is ground truth, and in all, mean of the four, m."""
+    """Way of the wheels during the ground truth, and in all, mean of the four wheels, m."""
     t_s, angle = recording.t_s, recording.wheel_angle_rad
     first = max(int(np.searchsorted(t_s, recording.truth_t_s[0])) - 1, 0)
     behind = int(np.searchsorted(t_s, recording.truth_t_s[-1], side="right")) + 1
@@ -135,7 +135,7 @@ def _refusal(recording: Recording, one: Unseen) -> DataError:
     return DataError(
         files[0] if one.by == "wheels" else files[-1],
         f"the wheels cover {wheels_s:.1f} s, the ground truth {truth_s:.1f} s: {one.in_words()}, "
-        "and no error would count that",
+        "and no error would include that",
         expected="wheels and ground truth of the whole drive",
         remedy="copy or record it again; to use a part of it, cut both to the same time, best at rest",
     )

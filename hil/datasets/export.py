@@ -1,9 +1,9 @@
-"""A recording as a table (CSV, Parquet) and as the `Recording` that calibration works on.
+"""A recording as a table (CSV, Parquet), and as a `Recording` for calibration.
 
-The table starts with the columns of our plain CSV, so that an exported file can be evaluated and
-calibrated like any other; ground truth is interpolated to the wheels' instants where motion capture
-saw the robot at both ends of a gap of at most 0.1 s, and is NaN elsewhere. Where it comes slowly, the
-instants next to its samples have it.
+The table starts with the columns of our plain CSV, so that an exported file can be evaluated and calibrated
+like any other. Ground truth is interpolated to the wheels' instants between samples of motion capture at most
+0.1 s apart, and is NaN elsewhere. Where motion capture is slower, only the instants next to its samples have
+a value.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from hil.support.extras import how_to_install
 
 
 def added_columns(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
-    """Names, and values (cycles, names); NaN before a kind's first sample and where a sample has no number.
+    """Names and values (cycles, names) of columns for the signal kinds that other packages add.
 
-    A column is called `KIND_FIELD`, an array has one for each element (`bms_cell_v_0`, `bms_map_1_0`), and
-    `KIND_t` is when the sample was measured, s since the first cycle. Texts and statuses are no columns: a
-    sample that is not good has NaN.
+    A column is called `KIND_FIELD`. An array has one column per element (`bms_cell_v_0`, `bms_map_1_0`).
+    `KIND_t` is the time of measurement, s since the first cycle. Texts and statuses have no columns. Values
+    are NaN before a kind's first sample, and in a sample that is not good.
     """
     origin_ns = records[0].inputs.t_ns if records else 0
     rows: list[dict[str, float]] = []
@@ -90,7 +90,7 @@ COLUMNS = (
 
 
 def _truth(records: Sequence[CycleRecord]) -> tuple[Array, Array]:
-    """Stamps (m,) in ns as float64 since the first cycle, and poses (m, 3), in order of time."""
+    """Stamps (m,), s since the first cycle, and poses (m, 3) of motion capture, in order of time."""
     origin_ns = records[0].inputs.t_ns if records else 0
     found = [m for r in records for m in r.measurements.mocap if m.valid and np.all(np.isfinite(m.pose))]
     t_s = np.array([(m.stamp.t_ns - origin_ns) / NS_PER_S for m in found])
@@ -100,7 +100,7 @@ def _truth(records: Sequence[CycleRecord]) -> tuple[Array, Array]:
 
 
 def tabulate(records: Sequence[CycleRecord]) -> Array:
-    """One row per wheel sample, columns `COLUMNS`; shape (n, len(COLUMNS))."""
+    """Table of a recording: one row per wheel sample, columns `COLUMNS`; shape (n, len(COLUMNS))."""
     if not records:
         return np.empty((0, len(COLUMNS)))
     origin_ns = records[0].inputs.t_ns
@@ -134,7 +134,7 @@ def _cycle_columns(record: CycleRecord) -> list[float]:
 
 
 def with_added(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
-    """Columns and rows (n, m) of `tabulate`, and behind them those of kinds that other packages add."""
+    """Columns and rows (n, m) of `tabulate`, followed by the columns of `added_columns`."""
     names, values = added_columns(records)
     table = tabulate(records)
     if not names:
@@ -144,10 +144,10 @@ def with_added(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
 
 
 def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[int, tuple[str, ...]]:
-    """Write the table; floats survive exactly in both formats. An earlier file stays where this fails.
+    """Write the table; floats are exact in both formats. On failure an earlier file is kept.
 
     Returns:
-        Its number of rows, and its columns.
+        Number of rows, and the columns.
 
     Args:
         records: cycles in order.
@@ -171,14 +171,14 @@ def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[
 
 
 def check_target(path: Path, kind: str) -> None:
-    """Make sure that a table is written over nothing but an earlier export.
+    """Refuse to overwrite a file that is not an earlier export.
 
     Args:
         path: file to write.
         kind: `csv` or `parquet`.
 
     Raises:
-        UsageError: there is a file that is none.
+        UsageError: the file exists and is not an export.
     """
     if path.is_file() and path.stat().st_size and not _is_export(path, kind):
         raise UsageError(
@@ -218,7 +218,7 @@ def _write_parquet(names: tuple[str, ...], table: Array, file: BinaryIO) -> None
 
 
 def _parquet() -> Any:
-    """The module that reads and writes Parquet; raises `UsageError` where it is not usable."""
+    """Import pyarrow's Parquet module; raises `UsageError` where it is missing or broken."""
     try:
         import pyarrow.parquet
     except ModuleNotFoundError:
@@ -245,11 +245,11 @@ def _wheel_log(samples: Iterable[WheelMeasurement], origin_ns: int) -> Log:
 def to_recording(
     path: str | Path, problems: list[str] | None = None, nominal: Nominal | None = None
 ) -> Recording:
-    """One of our recordings as input of evaluation and calibration.
+    """Read one of our MCAP recordings as input of evaluation and calibration.
 
     Args:
         path: the MCAP file; the motion is its name without the number of a repetition.
-        problems: receives what could not be read; without it damage raises.
+        problems: receives the parts that could not be read; None to raise on damage.
         nominal: robot that it is read for, see `build_recording`.
 
     Raises:

@@ -1,9 +1,9 @@
-"""Where a recording starts: the ground truth averaged over its initial rest, or fitted where there is none.
+"""Start pose of a recording: ground truth averaged over the initial rest, or fitted where there is none.
 
-One noisy first heading would cost millimetres per metre, and so would a mean over rows of motion. Where the
-wheels roll from the first row on, or too few rows saw the rest, the ground truth of the first way is brought
-back to the first instant along the wheels. What grows with the way, as wrong radii make it, is left out by a
-straight line.
+A single noisy heading at the start would cost millimetres per metre, and so would a mean over moving rows.
+Where the wheels roll from the first row on, or the rest has too few rows, the ground truth of the first part
+of the way is transformed back to the first instant by odometry. A straight line over the distance removes
+errors that grow with it, as from wrong radii.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ _FITTED_M, _FITTED_ROWS = 0.3, 8
 
 @dataclass(frozen=True)
 class Start:
-    """Where odometry of a recording starts, at the first row of ground truth within the wheel log.
+    """Start pose of odometry, at the first row of ground truth within the wheel log.
 
     Attributes:
         pose: (3,) m, m, rad.
-        rolling: the wheels roll from there on: the pose is fitted.
+        rolling: whether the wheels roll from there on, so that the pose is fitted.
     """
 
     pose: Array
     rolling: bool
 
     def doubt(self, name: str) -> list[str]:
-        """One line where the robot did not rest, with the recording's name; else none."""
+        """One line with the recording's name where the robot did not rest; else none."""
         if not self.rolling:
             return []
         return [
-            f"{name}: the wheels roll when it begins, so its start is no rest: it is fitted to the ground "
-            f"truth of the first {_FITTED_M:g} m; let the robot rest for a second first"
+            f"{name}: the wheels roll when it begins: its start is fitted to the ground truth of the "
+            f"first {_FITTED_M:g} m; let the robot rest for a second first"
         ]
 
 
 def start_of(recording: Recording) -> Start:
-    """Where a recording starts, found once."""
+    """Start of a recording; computed once and cached."""
     if "start" not in recording.derived:
         recording.derived["start"] = _found(recording)
     return cast("Start", recording.derived["start"])
@@ -70,7 +70,7 @@ def _found(recording: Recording) -> Start:
 
 
 def _fitted(recording: Recording, at_s: Array, truth: Array) -> Array:
-    """The pose (3,) at the first of the rows, by those of the first way: stamps (n,) and poses (n, 3)."""
+    """Pose (3,) at the first row, fitted to the first 0.3 m of the way: stamps (n,) and poses (n, 3)."""
     wheels = recording.nominal.geometry
     edges_s = wheel_edges(recording, at_s[0], at_s[-1])
     rotation, steering = wheel_steps(recording, edges_s, "position")
@@ -88,5 +88,5 @@ def _fitted(recording: Recording, at_s: Array, truth: Array) -> Array:
 
 
 def _at_first(line: Array, values: Array) -> float:
-    """Where a straight line (n, 2) through values (n,) begins."""
+    """Value at the start of the least-squares line (n, 2) through values (n,)."""
     return float(np.linalg.lstsq(line, values, rcond=None)[0][0])

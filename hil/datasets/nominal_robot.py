@@ -1,4 +1,4 @@
-"""The robot as it is on paper: what recordings are read with, and where a fit starts from."""
+"""The nominal robot: geometry that recordings are read with and that a fit starts from."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hil.robot.kinematics import WheelGeometry
 
 @dataclass(frozen=True)
 class Nominal:
-    """A robot before any calibration; without arguments the CAD model of the 4WIS4WID robot.
+    """A robot before any calibration; by default the CAD model of the 4WIS4WID robot.
 
     Attributes:
         geometry: wheel positions and radii, with loads and creep ratio as far as they are known.
         steering_limit_rad: largest steering angle to either side, rad.
-        source: where these figures are from, for messages and results.
+        source: origin of these figures, for messages and results.
     """
 
     geometry: WheelGeometry = field(default_factory=WheelGeometry.nominal)
@@ -30,7 +30,7 @@ class Nominal:
         return float(self.geometry.radius_m.mean())
 
     def to_json(self) -> dict[str, object]:
-        """As results name the geometry that was used: lists in wheel order FL, BL, BR, FR."""
+        """The geometry as it appears in results: lists in wheel order FL, BL, BR, FR."""
         return {
             "source": self.source,
             "x_w_m": self.geometry.x_m.tolist(),
@@ -41,7 +41,7 @@ class Nominal:
         }
 
     def in_words(self) -> str:
-        """One line with the figures in mm."""
+        """The geometry in one line, mm."""
         x, y, r = (
             "/".join(f"{1e3 * value:.4g}" for value in values)
             for values in (self.geometry.x_m, self.geometry.y_m, self.geometry.radius_m)
@@ -50,5 +50,5 @@ class Nominal:
 
 
 def lever_m(geometry: WheelGeometry) -> float:
-    """Distance of the wheels from the middle of the body (root mean square), m."""
+    """Root mean square distance of the wheels from the middle of the body, m."""
     return float(np.sqrt(np.mean(geometry.x_m**2 + geometry.y_m**2)))

@@ -1,6 +1,6 @@
-"""A whole table of numbers between commas, read at once: by pyarrow where it is installed, else by numpy.
+"""Reads a whole table of comma-separated numbers at once: by pyarrow if installed, else by numpy.
 
-Readers of files come here first. What is not such a table, they read line by line and say what is wrong.
+File readers try this first. A table with anything else they read line by line, to name the error.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from hil.core.geometry import Array
 from hil.support.extras import is_installed
 
 _IN_NUMBERS = b"0123456789.,eE+-\nan"
-"""Also of `nan`."""
+"""Characters of numbers, separators, line ends and `nan`."""
 
 
 def numbers_at_once(data: bytes, width: int) -> Array | None:
-    """Rows (n, width) of lines that all end in a line feed; None where one is not `width` numbers."""
+    """Rows (n, width) of a table with a line feed after each line; None unless all have `width` numbers."""
     if data.translate(None, _IN_NUMBERS):
         return None
     read = _by_pyarrow if is_installed("parquet") else _by_numpy
@@ -26,9 +26,9 @@ def numbers_at_once(data: bytes, width: int) -> Array | None:
 
 
 def _by_pyarrow(quick: bytes, lines: int, width: int) -> Array | None:
-    """Rows (lines, width); None where some row has others, or something else.
+    """Rows (lines, width); None where a row has another width, or anything but numbers.
 
-    A pyarrow that is installed but does not begin, whatever it raises, is as good as none.
+    A pyarrow that is installed but cannot be imported, for whatever reason, counts as not installed.
     """
     try:
         import pyarrow
@@ -50,7 +50,7 @@ def _by_pyarrow(quick: bytes, lines: int, width: int) -> Array | None:
 
 
 def _by_numpy(quick: bytes, lines: int, width: int) -> Array | None:
-    """As `_by_pyarrow`, three times as slow."""
+    """Like `_by_pyarrow`, but three times as slow."""
     marks = np.frombuffer(quick, dtype=np.uint8)
     between = marks[(marks == ord(",")) | (marks == ord("\n"))]
     if len(between) != lines * width or np.any(between[width - 1 :: width] != ord("\n")) or b",," in quick:

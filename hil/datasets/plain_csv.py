@@ -1,7 +1,7 @@
-"""Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file a run, SI units.
+"""Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file per run, SI units.
 
-Ground truth may be empty or NaN in any row, and so may wheels where there is ground truth. The motion is the
-file name without `_K`, the number of a repetition.
+Ground truth may be empty or NaN in any row, and so may the wheels where there is ground truth. The motion is
+the file name without the repetition number `_K`.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ TRUTH_COLUMNS = ("x", "y", "theta")
 RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
 _SHOWN = 40
 _MCAP = b"\x89MCAP"
-"""What every MCAP file begins with."""
+"""First bytes of every MCAP file."""
 TRUTH_GAP_S = 0.1
-"""Longest time between two samples of ground truth across which the robot's way is known."""
+"""Longest time between two samples of ground truth across which it is interpolated."""
 
 
 def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
-    """Read one run of a robot, the CAD model by default.
+    """Read one run; `nominal` is the CAD model by default.
 
     Raises:
-        DataError: columns that are missing or there twice, damaged file, no usable rows.
+        DataError: missing or duplicate columns, damaged file, no usable rows.
     """
     data = read_bytes(path)
     header, _, body = data.partition(b"\n")
@@ -82,7 +82,7 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
 
 
 def _check_text(path: Path, data: bytes, header: bytes) -> None:
-    """Name what spreadsheets make of a table, what a torn one may have, and another file of this name."""
+    """Raise `DataError` for other formats: spreadsheet output, unclosed quotes, MCAP under this name."""
     if data.startswith(_MCAP):
         raise DataError(
             str(path), "is an MCAP recording", expected="CSV", remedy="give it a name that ends with .mcap"
@@ -100,7 +100,7 @@ def _check_text(path: Path, data: bytes, header: bytes) -> None:
 
 
 def _table(path: Path, data: bytes, body: bytes, columns: list[str]) -> Array:
-    """Rows (n, one number for each column) of a file, whose `body` is what stands below its header."""
+    """Rows (n, number of columns) of a file; `body` is the file without its header."""
     width = len(columns)
     found = numbers_at_once(body.replace(b"\r\n", b"\n"), width)
     if found is not None:
@@ -126,7 +126,10 @@ def _table(path: Path, data: bytes, body: bytes, columns: list[str]) -> Array:
 
 
 def _number(field: str) -> float:
-    """Raises `ValueError` also for what only Python takes for a number: `1_0`, digits of other scripts."""
+    """Value of a field; NaN for an empty one.
+
+    Raises `ValueError` also for what only Python reads as a number: `1_0`, digits of other scripts.
+    """
     if not field.strip():
         return np.nan
     if "_" in field or not field.isascii():
@@ -149,7 +152,7 @@ def _lines(path: Path, data: bytes) -> Iterator[list[str]]:
 def write_plain(path: Path, recording: Recording) -> None:
     """Write a recording; ground truth is interpolated to the wheel rows, but not across a gap in it.
 
-    Outside of it the first and the last pose count for as long as such a gap may be.
+    Before the first and after the last pose, these poses hold for the longest gap (0.1 s).
     """
     truth = truth_at(
         recording.t_s, recording.truth_t_s, recording.truth_pose, longest_s=TRUTH_GAP_S, edge_s=TRUTH_GAP_S

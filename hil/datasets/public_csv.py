@@ -2,8 +2,7 @@
 
 Format as in `dataset/` of the authors' repository (GitHub, JakVit/4WIS4WID_parameter_calibration):
 `;`-separated, servo tuples in the file's own name order, receive time as text, header stamps as integers.
-A file that cannot be turned into numbers at once goes through a row-by-row path that drops and counts broken
-rows.
+A file that cannot be parsed as one table is parsed row by row, which drops and counts broken rows.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ _FILE = re.compile(r"(odom|abs)_(?P<run>\w+)\.csv(\.gz)?")
 
 
 def read_bytes(path: Path) -> bytes:
-    """Content of a plain or gzip file; raises `DataError` when that cannot be used."""
+    """Content of a plain or gzip file; raises `DataError` when it is empty or cannot be read."""
     data = read_packed(path)
     if not data.strip():
         raise DataError(str(path), "is empty", expected="a header line and rows")
@@ -53,7 +52,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def find_pairs(folder: Path) -> list[tuple[Path, Path]]:
-    """Pairs (odom, abs) of a folder in order of their run; raises `DataError` for a lonely odom file."""
+    """Pairs (odom, abs) of a folder, in order of their run; raises `DataError` for a lone odom file."""
     pairs = []
     for odom in sorted(folder.glob("odom_*.csv*"), key=_run_key):
         if _FILE.fullmatch(odom.name) is not None:
@@ -67,10 +66,10 @@ def is_pair_file(path: Path) -> bool:
 
 
 def partner(odom: Path) -> Path:
-    """The `abs` file that belongs to an `odom` file: packed as that one is, where there are two.
+    """The `abs` file of an `odom` file; prefers the one with the same compression.
 
     Raises:
-        DataError: there is none.
+        DataError: there is no such file.
     """
     alike = odom.name.replace("odom_", "abs_", 1)
     stem = alike.removesuffix(".gz")
@@ -87,7 +86,7 @@ def _run_key(path: Path) -> tuple[int, str, str]:
 
 
 def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Recording:
-    """Read one run of a robot, the CAD model by default; its motion is classified from what it did.
+    """Read one run; `nominal` is the CAD model by default. The motion is classified from the data.
 
     Raises:
         DataError: missing columns, damaged file, no usable rows.
@@ -112,7 +111,7 @@ def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Rec
 
 
 def _log(rows: Array, values: Array) -> Log:
-    """Header stamps shifted by the median receive delay: the source's regular clock, without jitter."""
+    """Log with header stamps shifted by the median receive delay: the source's clock, without jitter."""
     days = rows[:, 0] * 372 + rows[:, 1] * 31 + rows[:, 2]
     receive = (days - days[0]) * 86400 + rows[:, 3] * 3600 + rows[:, 4] * 60 + rows[:, 5]
     header = (rows[:, 7] - rows[0, 7]) + rows[:, 8] * 1e-9
@@ -165,7 +164,7 @@ def _numbers(path: Path, quick: bytes, body: bytes, columns: list[str], width: i
 
 
 def _rows(path: Path, quick: bytes, body: bytes, columns: list[str], width: int) -> Array:
-    """Rows (n, width); the slow path when the quick one does not come out even."""
+    """Rows (n, width); falls back to row-by-row parsing where the fast path fails."""
     found = numbers_at_once(quick, width)
     if found is not None:
         return found
@@ -185,7 +184,7 @@ def _rows(path: Path, quick: bytes, body: bytes, columns: list[str], width: int)
 
 
 def _unreadable(columns: list[str], line: str) -> str:
-    """Why a row cannot be read: the first column that does not hold its numbers."""
+    """Reason why a row cannot be read: the first column with wrong content."""
     fields = line.split(";")
     if len(fields) != len(columns):
         return f"it has {len(fields)} fields, its header {len(columns)}"
@@ -194,11 +193,11 @@ def _unreadable(columns: list[str], line: str) -> str:
         if name not in _WORDS and _row(field, count) is None:
             wanted = "a number" if count == 1 else f"{count} numbers"
             return f"{name} holds {field[:_SHOWN]!r}, not {wanted}"
-    return "its columns hold other numbers than its header says"
+    return "its columns do not hold the numbers that its header names"
 
 
 def _row(line: str, width: int) -> list[float] | None:
-    """Numbers of one row, None when they are not `width`; words (frame and servo names) are skipped."""
+    """Numbers of one row, None if there are not `width`; words (frame and servo names) are skipped."""
     bare = re.sub(r"\[[^\[\]]*\]", "", line)
     fields = re.split(r"[;/:,()\s]+", bare)
     try:

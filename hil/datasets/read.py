@@ -1,4 +1,4 @@
-"""Reads the paths of a command line as recordings, each with the right reader."""
+"""Reads the paths of a command line as recordings, choosing the reader by the kind of file."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from hil.support.atomic_files import check_name
 
 _READERS = 2
 _OTHERS = (".py", ".toml", ".json", ".html")
-"""Files of this project that hold no recording."""
+"""Suffixes of files in this project that contain no recording."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run to be read.
+    """A run to read.
 
     Attributes:
-        files: what it is read from.
-        read: reads it.
-        given: which of the files were named, by themselves or by their folder.
+        files: files of the run.
+        read: function that reads it.
+        given: files that the caller named, directly or by their folder.
     """
 
     files: tuple[Path, ...]
@@ -44,14 +44,14 @@ class Job:
 
     @property
     def identity(self) -> tuple[Path, ...]:
-        """A value that is the same for one run, by whatever path it is given."""
+        """Key of the run, independent of the path by which it was given."""
         return tuple(file.resolve() for file in self.files)
 
 
 def find_recordings(
     paths: Sequence[str | Path], topics: str | Path | None = None, nominal: Nominal | None = None
 ) -> list[Job]:
-    """Readers for every run under the given files and folders, in a fixed order.
+    """Find every run under the given files and folders, with its reader, in a fixed order.
 
     Args:
         paths: files and folders.
@@ -60,9 +60,9 @@ def find_recordings(
         nominal: robot that they are read for, see `build_recording`.
 
     Raises:
-        DataError: a path that does not exist or holds no recording.
+        DataError: a path does not exist or contains no recording.
         ConfigError: the topic mapping is wrong.
-        UsageError: no file can have such a name.
+        UsageError: a path is not a possible file name.
     """
     mapping = None if topics is None else read_topic_map(topics)
     jobs: list[Job] = []
@@ -91,24 +91,24 @@ def read_recordings(
     nominal: Nominal | None = None,
     unusable: dict[str, str] | None = None,
 ) -> list[Recording]:
-    """Read every run under the given files and folders; `progress(done, total)` after each.
+    """Read every run under the given files and folders.
 
-    What is there more than once counts once, and a repair says so: a file that is named by itself and by its
-    folder, and a copy at another place, whatever its line ends or compression. It would count twice, and its
-    twin would stay among the others when it is left out. What was read of a damaged recording counts; its
-    `problems` name the damage.
+    A run that occurs more than once is used once, and a repair mentions it: a file named directly and by its
+    folder, or a copy at another place with other line ends or compression. Otherwise it would count twice,
+    and in a cross-validation its copy would stay in the fit when it is left out. The readable part of a
+    damaged recording is used; its `problems` name the damage.
 
     Args:
         paths: files and folders.
-        progress: called after each.
+        progress: called with (done, total) after each run.
         topics: see `find_recordings`.
         nominal: robot that they are read for, see `build_recording`.
-        unusable: takes the files of recordings that cannot be used, and why, as long as more can. The others
-            are then refused only for signs that are wrong in most of them. Without it the first one that
-            cannot be used ends the reading.
+        unusable: filled with file and reason of each recording that cannot be used, while more than half can.
+            The others are then refused only for signs that are wrong in most of them. If None, the first
+            unusable recording raises.
 
     Returns:
-        The recordings, in a fixed order, with names that differ.
+        The recordings, in a fixed order, with unique names.
 
     Raises:
         DataError: see `find_recordings`, `build_recording`, `covered` and `check_signs`.
@@ -140,7 +140,10 @@ Parts = tuple[Recording, ...]
 
 
 def _at_once(jobs: Iterable[Job], robot: Nominal) -> Iterator[tuple[Job, Parts | DataError]]:
-    """Read some recordings at a time, in order: unpacking and reading of numbers leave Python to others."""
+    """Read some recordings at a time, in order.
+
+    Threads help because unpacking and number parsing release the interpreter lock.
+    """
     readers = ThreadPoolExecutor(_READERS)
     try:
         read = [(job, readers.submit(_read, job, robot)) for job in jobs]
@@ -151,7 +154,7 @@ def _at_once(jobs: Iterable[Job], robot: Nominal) -> Iterator[tuple[Job, Parts |
 
 
 def _read(job: Job, robot: Nominal) -> Parts | DataError:
-    """A recording in its parts, or why it cannot be used."""
+    """Read a recording with all its parts, or return the reason why it cannot be used."""
     try:
         first = job.read()
         return tuple(covered(replace(part, later=()), robot) for part in (first, *first.later))
@@ -160,17 +163,17 @@ def _read(job: Job, robot: Nominal) -> Parts | DataError:
 
 
 def _times_given(same: Sequence[Job]) -> int:
-    """How often one run was named: both halves of a pair, each by itself, name it once."""
+    """Number of times that a run was named; naming both halves of a pair counts as one."""
     return max(Counter(file.resolve() for job in same for file in job.given).values())
 
 
-def _of(path: Path, read: Callable[[], Recording]) -> Job:
-    """A run of one file, or of a folder that is one recording."""
+def _one_job(path: Path, read: Callable[[], Recording]) -> Job:
+    """Job for a run of one file, or of a folder that is one recording."""
     return Job((path,), read, (path,))
 
 
 def _below(folder: Path) -> str:
-    """Which folders in this one hold recordings."""
+    """Remedy that names subfolders with recordings; empty where there are none."""
     kinds = ("*.csv", "*.csv.gz", "*.mcap", "*.db3")
     holders = sorted({found.parent for kind in kinds for found in folder.glob(f"*/{kind}")})
     return "name the folder that does: " + ", ".join(map(str, holders[:3])) if holders else ""
@@ -198,11 +201,11 @@ def _folder(folder: Path, mapping: TopicMap | None, nominal: Nominal | None) -> 
 def _bag(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
     if mapping is None:
         raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
-    return _of(path, lambda: rosbag.read_bag(path, mapping, nominal))
+    return _one_job(path, lambda: rosbag.read_bag(path, mapping, nominal))
 
 
 def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
-    """One of our recordings as far as it can be read."""
+    """Read as much of one of our recordings as is readable."""
     problems: list[str] = []
     try:
         return replace(export.to_recording(path, problems, nominal), problems=tuple(problems))
@@ -239,10 +242,10 @@ def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
     if path.suffix == ".mcap" and mapping is not None:
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":
-        return _of(path, lambda: _whole_or_not(path, nominal))
+        return _one_job(path, lambda: _whole_or_not(path, nominal))
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():
             raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
         return _pair(odom, public_csv.partner(odom), nominal, (path,))
-    return _of(path, lambda: plain_csv.read_plain(path, nominal))
+    return _one_job(path, lambda: plain_csv.read_plain(path, nominal))

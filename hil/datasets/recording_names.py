@@ -1,4 +1,4 @@
-"""Names of recordings: the motion in them, and a suffix where two are alike."""
+"""Names of recordings: the motion in the name, and a prefix where two names are equal."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ _REPETITION = re.compile(r"_[0-9]+$")
 
 
 def motion_of(name: str) -> str:
-    """Motion that a recording of this name shows: `line_x_2` is a repetition of `line_x`, by its number.
+    """Motion in a recording's name, without the repetition number: `line_x_2` -> `line_x`.
 
     Args:
-        name: of the file or folder, without the part for its kind.
+        name: name of the file or folder, without suffix.
     """
     return _REPETITION.sub("", name) or name
 
 
 def named_apart(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings, in order; those of one name get the folders that tell them apart, as `1/line_x_1`.
+    """Make the names unique: equal names get their distinguishing folders, as `1/line_x_1`.
 
-    Where the folder is the same as well, as for `odom_1.csv` and `odom_1.csv.gz`, the name is the file's.
+    Where the folder is equal as well, as for `odom_1.csv` and `odom_1.csv.gz`, the file name is used.
 
     Args:
-        recordings: each of files of its own.
+        recordings: recordings, each from its own files.
     """
     alike: dict[str, list[int]] = {}
     for k, one in enumerate(recordings):
@@ -43,7 +43,7 @@ def named_apart(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _apart(recordings: Sequence[Recording]) -> list[str]:
-    """Names for recordings that share one: as many folders, the last ones, as no two of them share."""
+    """Names for recordings with one name: as many trailing folders as make them unique."""
     files = [Path(os.path.abspath(one.sources[0])) for one in recordings]
     in_folder = Counter(file.parent for file in files)
     places = [

@@ -1,7 +1,7 @@
 """Reads rosbag2 recordings (MCAP or SQLite) of a real robot through a topic mapping in TOML.
 
-`hil.datasets.topic_map` says what stands in it. Stamps are those of the message headers; where all of a
-topic are 0, it has none and the log times count.
+See `hil.datasets.topic_map` for the mapping. Stamps are those of the message headers; if they are all 0 in a
+topic, the log times are used instead.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hil.datasets.unpacking import PACKED, unpacked
 
 _TRANSFORMS = ("/tf", "/tf_static")
 _ENOUGH = 20_000
-"""Messages that are looked at: frames that appear later are rare, and bags may be long."""
+"""Largest number of messages to scan: frames that appear later are rare, and bags may be long."""
 LOG = logging.getLogger(__name__)
 _JOINTS = "sensor_msgs/msg/JointState"
 _POSES = (
@@ -39,7 +39,7 @@ _POSES = (
     "nav_msgs/msg/Odometry",
 )
 _STORAGES = (".mcap", ".db3")
-_CDR, _MOST_SAID = "cdr", 200
+_CDR, _LONGEST_REASON = "cdr", 200
 _REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
 _REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
 _DAY_NS = 86_400 * NS_PER_S
@@ -47,10 +47,10 @@ _BLOCK_BYTES = 1 << 20
 
 
 def broken_frames(path: Path) -> tuple[str, ...]:
-    """What is wrong with the frame tree of a bag, in words; nothing for a sound one, and for one without.
+    """Problems of the frame tree of a bag, one message each; empty for a sound tree, or without one.
 
     Args:
-        path: a rosbag2 folder or file that has been read before, so that it can be.
+        path: a rosbag2 folder or file that is known to be readable.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -69,10 +69,10 @@ def broken_frames(path: Path) -> tuple[str, ...]:
 
 
 def problems_of(parents: Mapping[str, Iterable[str]], used: Mapping[str, str]) -> list[str]:
-    """What is wrong with a tree.
+    """Problems of a frame tree: frames with several parents, loops, separate trees, unknown frames.
 
     Args:
-        parents: of each frame.
+        parents: parents of each frame.
         used: frames that messages are given in, with the topic.
     """
     found = []
@@ -107,7 +107,7 @@ def problems_of(parents: Mapping[str, Iterable[str]], used: Mapping[str, str]) -
 
 @dataclass(frozen=True)
 class _Stamp:
-    """When a message was: `number` in the bag, by its header and by the log, ns."""
+    """Position of a message: `number` in the bag, header stamp and log time, ns."""
 
     number: int
     header_ns: int
@@ -120,20 +120,20 @@ def is_bag(path: Path) -> bool:
 
 
 def _storage(path: Path) -> str:
-    """Ending of a storage file, without that of its packing."""
+    """Suffix of a storage file, without the suffix of its compression."""
     return Path(path.stem).suffix if path.suffix in PACKED else path.suffix
 
 
 def bags_in(folder: Path) -> list[Path]:
-    """Bags of a folder, by name: itself if it is one, else those that lie in it."""
+    """Bags of a folder, by name: the folder itself if it is one, else the bags in it."""
     return [folder] if is_bag(folder) else sorted(p for p in folder.iterdir() if is_bag(p))
 
 
 def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None) -> Recording:
-    """Wheels and ground truth of a bag: a rosbag2 folder, or a `.mcap` or `.db3` file of one.
+    """Read wheels and ground truth of a bag: a rosbag2 folder, or one of its `.mcap` or `.db3` files.
 
     Raises:
-        DataError: unreadable, a topic or joint is missing, or the data cannot be used.
+        DataError: the bag is unreadable, a topic or joint is missing, or the data cannot be used.
     """
     file = Path(path)
     if file.is_dir() and not is_bag(file):
@@ -156,14 +156,14 @@ def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None)
 
 
 def _storages(bag: Path) -> list[Path]:
-    """Files that hold the messages of a bag, by name: itself where it is one."""
+    """Storage files of a bag, by name: the path itself if it is a file."""
     if bag.is_file():
         return [bag]
     return sorted(file for file in bag.iterdir() if file.is_file() and _storage(file) in _STORAGES)
 
 
 def _digest(file: Path) -> str:
-    """SHA-256 of a file, which may be larger than the memory."""
+    """SHA-256 of a file, read in blocks."""
     digest = hashlib.sha256()
     with file.open("rb") as stream:
         while block := stream.read(_BLOCK_BYTES):
@@ -178,10 +178,10 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
     for topic, stamp, message in _messages(file, (wheels.topic, truth.topic)):
         stamps[topic].append(stamp)
         (poses if topic == truth.topic else joints).add(message)
-    if silent := [topic for topic, found in stamps.items() if not found]:
+    if empty := [topic for topic, found in stamps.items() if not found]:
         raise DataError(
             str(file),
-            f"{' and '.join(silent)} {'hold' if len(silent) > 1 else 'holds'} no message",
+            f"{' and '.join(empty)} {'hold' if len(empty) > 1 else 'holds'} no message",
             expected="messages of the wheels and of the ground truth",
             remedy="name topics with messages in the mapping (`ros2 bag info` counts them), or leave it out",
         )
@@ -202,7 +202,7 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
 
 
 def _refuse_folder(folder: Path) -> None:
-    """Raises `DataError` for a folder that is no bag, with the bags that lie in it."""
+    """Raise `DataError` for a folder that is no bag, and name the bags in it."""
     names = [p.name for p in bags_in(folder)]
     if names:
         raise DataError(
@@ -216,7 +216,7 @@ def _refuse_folder(folder: Path) -> None:
 
 
 def _times(path: Path, stamps: Mapping[str, Sequence[_Stamp]]) -> dict[str, Array]:
-    """Times (n,) of the messages of each topic, s since the first message of all."""
+    """Times (n,) of the messages of each topic, s since the first message in the bag."""
     taken_ns = {}
     for topic, found in stamps.items():
         stamped = any(one.header_ns for one in found)
@@ -232,7 +232,7 @@ def _times(path: Path, stamps: Mapping[str, Sequence[_Stamp]]) -> dict[str, Arra
 
 
 def _check_stamps(path: Path, topic: str, stamps: Sequence[_Stamp]) -> None:
-    """Raises `DataError` for a stamp a day or more from where the log times and the other stamps put it."""
+    """Raise `DataError` if a stamp's offset from the log time is a day or more off the typical offset."""
     behind_ns = [one.log_ns - one.header_ns for one in stamps]
     usual_ns = sorted(behind_ns)[len(behind_ns) // 2]
     off = [k for k, behind in enumerate(behind_ns) if abs(behind - usual_ns) > _DAY_NS]
@@ -252,7 +252,7 @@ def _check_stamps(path: Path, topic: str, stamps: Sequence[_Stamp]) -> None:
 
 
 def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp, Any]]:
-    """Topic, stamp and message, of the wanted topics."""
+    """Iterate over topic, stamp and message of the wanted topics."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -278,7 +278,7 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp
     except HilError:
         raise
     except Exception as error:  # a library that reads foreign files may raise anything
-        why = " ".join(str(error).split())[:_MOST_SAID]
+        why = " ".join(str(error).split())[:_LONGEST_REASON]
         raise DataError(
             str(path),
             f"is not a readable rosbag2 recording ({why or type(error).__name__})",
@@ -287,7 +287,7 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp
 
 
 def _check_encoding(path: Path, connection: Any) -> None:
-    """Raises `DataError` for messages that are not those of ROS 2, byte for byte."""
+    """Raise `DataError` for messages that are not encoded as CDR."""
     encoding = getattr(connection.ext, "serialization_format", _CDR)
     if encoding != _CDR:
         raise DataError(
@@ -296,14 +296,14 @@ def _check_encoding(path: Path, connection: Any) -> None:
 
 
 def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:
-    """Raises `DataError` for a topic of a type that cannot be wheels or ground truth."""
+    """Raise `DataError` for a topic whose type is wrong for wheels or ground truth."""
     expected = (_JOINTS,) if joints else _POSES
     if kind not in expected:
         raise DataError(str(path), f"{topic} is of another type ({kind})", expected=" or ".join(expected))
 
 
 def _signed(wheels: WheelTopic, rows: Array) -> Array:
-    """Rows (n, 12) with the signs and zeros of the mapping."""
+    """Rows (n, 12) with the signs and steering zeros of the mapping applied."""
     drive_sign = np.array(wheels.drive_sign)
     steering = np.array(wheels.steer_sign) * (rows[:, 4:8] - np.array(wheels.steer_zero_rad))
     return np.column_stack([drive_sign * rows[:, :4], steering, drive_sign * rows[:, 8:]])

@@ -1,7 +1,7 @@
 """Samples wheels and ground truth of a recording at given instants.
 
-Two logs of one drive have stamps and gaps of their own. Wheels are read at their own rows and never across a
-gap of the ground truth in one step; ground truth is known where it has rows, and nowhere else.
+The two logs of a drive have different stamps and gaps. Wheels are integrated over all their own rows, so
+never in one step across a gap of the ground truth. Ground truth is known only where it has rows.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from hil.robot.kinematics import wheel_vectors
 
 SIGNALS = ("position", "velocity")
 LONGEST_GAP_S = 0.25
-"""Gap between rows of ground truth across which it is interpolated, where rows are dense."""
+"""Longest gap across which dense ground truth is interpolated."""
 _SLOW_S = 0.06
-"""Typical time between rows of ground truth from which on it is not interpolated at all."""
+"""Ground truth with a longer median time between rows is not interpolated at all."""
 _LOG_PERIOD_S = 0.016
 
 
 def interpolate(at_s: Array, t_s: Array, values: Array) -> Array:
-    """Columns of `values` linearly interpolated, (m, k).
+    """Interpolate the columns of `values` linearly, (m, k).
 
     Args:
-        at_s: (m,) instants wanted, s.
+        at_s: (m,) instants, s.
         t_s: (n,) times of the rows, s.
-        values: (n, k).
+        values: (n, k) values of the rows.
     """
     return np.column_stack([np.interp(at_s, t_s, column) for column in values.T])
 
@@ -41,12 +41,12 @@ def truth_window(recording: Recording) -> tuple[Array, Array]:
 
 
 def wheel_edges(recording: Recording, begin_s: float, end_s: float) -> Array:
-    """Edges (k + 1,), s: an instant, the wheel rows behind it, and the first at or behind another.
+    """Edges (k + 1,), s: `begin_s`, the wheel rows after it, up to the first row at or after `end_s`.
 
     Args:
-        recording: whose rows.
-        begin_s: within the wheel log, as `end_s`.
-        end_s: later.
+        recording: recording with the wheel rows.
+        begin_s: first edge, within the wheel log.
+        end_s: later instant within the wheel log.
     """
     first = int(np.searchsorted(recording.t_s, begin_s, side="right"))
     last = int(np.searchsorted(recording.t_s, end_s, side="left"))
@@ -62,7 +62,7 @@ def wheel_steps(recording: Recording, at_s: Array, signal: str) -> tuple[Array, 
         signal: `position` or `velocity`.
 
     Raises:
-        DataError: the velocity register is asked for and was not recorded.
+        DataError: the velocity register is requested but was not recorded.
         UsageError: another signal.
     """
     if signal not in SIGNALS:
@@ -82,8 +82,8 @@ def wheel_steps(recording: Recording, at_s: Array, signal: str) -> tuple[Array, 
 def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
     """Wheel vectors dphi_i (cos d_i, sin d_i) summed between edges, shape (n, 8), rad.
 
-    Increments are formed at least every 16 ms, the rate of the log, so that steering may change within a
-    block, however long it is.
+    Increments are formed at least every 16 ms, the period of the log, so that the steering may change within
+    a block of any length.
 
     Args:
         recording: with wheel and steering angles.
@@ -100,14 +100,14 @@ def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
 
 
 def is_slow(stamps_s: Array) -> bool:
-    """Whether rows (n,), s, are so far apart that what lies between two of them is not known."""
+    """Whether rows (n,), s, are too far apart to interpolate between them."""
     return len(stamps_s) > 1 and float(np.median(np.diff(stamps_s))) > _SLOW_S
 
 
 def beside_rows(at_s: Array, truth_s: Array, truth: Array) -> Array:
-    """Poses (n, 3) at those of some instants (n,) that are next to a row of ground truth; NaN at the others.
+    """Poses (n, 3) at the instants (n,) nearest to rows of ground truth; NaN at the other instants.
 
-    Each is brought there by the way between the rows (m,) and (m, 3), which is short.
+    Each pose is interpolated between the rows (m,), (m, 3); the distance to the row is short.
     """
     between = between_samples(at_s, truth_s, truth, longest=np.inf)
     behind = np.clip(np.searchsorted(at_s, truth_s), 1, len(at_s) - 1)
@@ -122,10 +122,10 @@ def truth_at(at_s: Array, truth_s: Array, truth: Array, longest_s: float, edge_s
 
     Args:
         at_s: instants in order, s.
-        truth_s: (m,) of the rows, s.
-        truth: (m, 3).
-        longest_s: gap across which dense rows are interpolated; slow ones are as `beside_rows` has them.
-        edge_s: how far before the first and after the last dense row that counts.
+        truth_s: (m,) times of the rows, s.
+        truth: (m, 3) poses of the rows.
+        longest_s: longest gap across which dense rows are interpolated; for slow rows see `beside_rows`.
+        edge_s: time before the first and after the last dense row for which that row holds.
     """
     if is_slow(truth_s) and len(at_s) > 1:
         return beside_rows(at_s, truth_s, truth)
@@ -133,14 +133,14 @@ def truth_at(at_s: Array, truth_s: Array, truth: Array, longest_s: float, edge_s
 
 
 def checked_edges(recording: Recording, block_s: float) -> tuple[Array, Array, Bools]:
-    """Edges (n + 1,), s, of blocks, the ground truth (n, 3) at their ends, and where it is known (n,).
+    """Edges (n + 1,), s, of blocks, ground truth (n, 3) at their ends, and whether it is known (n,).
 
-    Known is it between rows at most `LONGEST_GAP_S` apart. Where rows are slower than 16 a second, an edge is
-    moved to the row that is less than half a block away, and known there alone. Elsewhere there is the
-    straight way between the rows, which nothing is to be held against.
+    It is known between rows at most `LONGEST_GAP_S` apart. Where the median distance of the rows is above
+    0.06 s, an edge is moved to a row less than half a block away, and the truth is known only there.
+    Elsewhere the truth is interpolated linearly, which must not be used for comparison.
 
     Args:
-        recording: with wheels and ground truth.
+        recording: recording with wheels and ground truth.
         block_s: typical length of a block, s.
     """
     truth_s, truth = truth_window(recording)

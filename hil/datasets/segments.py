@@ -1,7 +1,7 @@
 """Splits a recording where its stamps step back, because the clock was set.
 
-Rows that come in another order are sorted; they fill places that no row has yet. Rows behind a step back lie
-between rows that are there already: sorted, they would mix two times.
+Rows in the wrong order are sorted; they fill times at which no other row is. Rows after a step back lie
+between rows that exist already: sorting them would mix two times.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ _REGULAR = 1.5
 
 
 def split(where: str, wheels: Log, truth: Log) -> list[tuple[Log, Log]]:
-    """The logs up to each step back of their stamps, and what follows the last; as they are without one.
+    """Split the logs at each step back of their stamps; a log without one stays as it is.
 
     Args:
         where: the file, for messages.
-        wheels: in the order of the file, as
-        truth: also is.
+        wheels: wheel rows in the order of the file.
+        truth: ground-truth rows in the order of the file.
 
     Raises:
-        DataError: one of both steps back and the other does not.
+        DataError: the logs step back a different number of times.
     """
     by_wheels, by_truth = _begins(wheels), _begins(truth)
     if len(by_wheels) > len(by_truth):
@@ -47,7 +47,7 @@ def split(where: str, wheels: Log, truth: Log) -> list[tuple[Log, Log]]:
 
 
 def in_words(log: Log) -> str:
-    """What a split log did first, for a message."""
+    """Description of the first step back of a split log, for a message."""
     first = _begins(log) or _dips(log)
     before_s, behind_s = log.t_s[: first[0]], log.t_s[first[0]]
     return (
@@ -67,7 +67,7 @@ def _begins(log: Log) -> list[int]:
 
 
 def _dips(log: Log) -> list[int]:
-    """Rows that are stamped before the row before them."""
+    """Indices of rows whose stamp is before that of the row before."""
     rows = _usable(log)
     return [int(k) for k in rows[dips(log.t_s[rows])]]
 
@@ -82,13 +82,14 @@ def _parts(log: Log, begins: list[int]) -> list[Log]:
 
 
 def step_backs(t_s: Array, values: Array) -> list[int]:
-    """Rows at which stamps step back, none where the rows are in no order at all.
+    """Indices of rows at which stamps step back; empty where the rows have no time order at all.
 
-    A step back leads to at least two rows that lie where rows before have been, and are no copies of them.
+    After a step back at least two rows must lie within the times of rows before, without being copies of
+    them.
 
     Args:
         t_s: (n,) stamps in the order of the file, s.
-        values: (n, k) what the rows hold.
+        values: (n, k) values of the rows.
     """
     lower = dips(t_s)
     if not len(lower) or len(lower) > most_dips(t_s):
@@ -107,7 +108,7 @@ def step_backs(t_s: Array, values: Array) -> list[int]:
 
 
 def _taken(t_s: Array, values: Array, later: Rows, before: Array, typical_s: float, begin: int) -> int:
-    """How many later rows lie between rows before, sorted (m,), that are as close as rows usually are."""
+    """Number of later rows that lie within densely filled times of the rows before, sorted (m,)."""
     at = np.searchsorted(before, t_s[later])
     inside = (at > 0) & (at < len(before))
     close = np.zeros(len(later), dtype=bool)

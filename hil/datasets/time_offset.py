@@ -1,4 +1,4 @@
-"""Checks that wheels and ground truth share a clock, by when both begin and end to move."""
+"""Estimates the clock offset between wheels and ground truth, by cross-correlation of their speeds."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _GAPS_LONGER = 1.5
 
 
 def time_offset_s(recording: Recording) -> float | None:
-    """How much later the ground truth moves than the wheels, s; None where their speeds are not alike.
+    """Delay of the ground truth behind the wheels, s; None where their speeds are too different.
 
-    It is where the speeds overlap most. Motion at both ends of a recording makes it smaller than it is.
+    The delay is the maximum of the cross-correlation of the speeds. Motion at both ends of a recording makes
+    it too small.
     """
     at_s, pose = truth_window(recording)
     grid_s = np.arange(at_s[0], at_s[-1], _GRID_S)
@@ -54,7 +55,7 @@ def time_offset_s(recording: Recording) -> float | None:
 
 
 def _by_wheels(recording: Recording) -> Array:
-    """Poses (n, 3) at the wheel rows, by nominal odometry from anywhere."""
+    """Poses (n, 3) at the wheel rows by nominal odometry, started at zero."""
     wheels = recording.nominal.geometry
     rotation, steering = wheel_steps(recording, recording.t_s, "position")
     vectors = wheel_vectors(rotation * wheels.radius_m, steering - wheels.steering_zero_rad)
@@ -62,7 +63,7 @@ def _by_wheels(recording: Recording) -> Array:
 
 
 def _known(grid_s: Array, at_s: Array) -> Bools:
-    """At which instants (k,) the ground truth, rows (m,), is in no gap."""
+    """Mask of instants (k,) at which the ground truth, rows (m,), has no gap."""
     lasts_s = np.diff(at_s)
     longest_s = max(LONGEST_GAP_S, _GAPS_LONGER * float(np.median(lasts_s)))
     behind = np.clip(np.searchsorted(at_s, grid_s), 1, len(at_s) - 1)
@@ -70,7 +71,7 @@ def _known(grid_s: Array, at_s: Array) -> Bools:
 
 
 def different_clocks(recordings: Sequence[Recording]) -> list[str]:
-    """One line where ground truth and wheels are typically 0.03 s apart, or more."""
+    """One line if the median offset of ground truth and wheels is 0.03 s or more; else none."""
     found = [offset_s for one in recordings if (offset_s := time_offset_s(one)) is not None]
     typical_s = float(np.median(found)) if found else 0.0
     if abs(typical_s) < _WORTH_S:

@@ -1,4 +1,4 @@
-"""Topic mapping of another robot's bag, in TOML: which joints are which wheel, where ground truth comes from.
+"""Topic mapping of another robot's bag, in TOML: the joints of each wheel, and the topic of the ground truth.
 
 ::
 
@@ -75,14 +75,14 @@ class WheelTopic(_Strict):
 
 
 class TruthTopic(_Strict):
-    """Ground truth of a body that is fixed to the robot, in a frame whose upward axis stands on the surface.
+    """Ground truth of a body fixed to the robot, in a frame whose up axis is normal to the surface.
 
-    The keys are those of the bench: `up_axis` as in `[mocap]`, the mount as of a camera.
+    The keys are those of the bench file: `up_axis` as in `[mocap]`, the mount as of a camera.
 
     Attributes:
-        topic: of its poses.
+        topic: topic of the poses.
         up_axis: `y` where poses and body have their y axis upwards, as Motive streams by default.
-        mount_position_m, mount_rotation_wxyz: the body's frame on the robot.
+        mount_position_m, mount_rotation_wxyz: pose of the body's frame on the robot.
     """
 
     topic: str
@@ -92,7 +92,7 @@ class TruthTopic(_Strict):
 
 
 class TopicMap(_Strict):
-    """Which topic of a bag is what."""
+    """Topics of wheels and ground truth in a bag."""
 
     schema_version: Literal[1] = Field(alias="schema")
     wheels: WheelTopic
@@ -108,10 +108,10 @@ class TopicMap(_Strict):
 
 
 def read_topic_map(path: str | Path) -> TopicMap:
-    """Topic mapping of a TOML file.
+    """Read a topic mapping from a TOML file.
 
     Raises:
-        ConfigError: unreadable or wrong, with every problem.
+        ConfigError: the file is unreadable or wrong; lists every problem.
     """
     try:
         return TopicMap.model_validate(read_toml(Path(path)))

@@ -1,7 +1,7 @@
 """Finds jumps of ground truth: rows that no robot can have reached from their neighbours.
 
-A capture system that takes another marker for the robot's puts single rows metres away. Such rows leave and
-come back; a pose that leaves and stays is another matter, and only counted.
+A capture system that mistakes another marker for the robot's gives single rows metres away. Such rows jump
+away and back, and are dropped. A jump after which the poses stay away is only counted.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _GRID_S = 0.1
 
 @dataclass(frozen=True)
 class TruthJumps:
-    """TruthJumps of a ground truth.
+    """Jumps of a ground truth.
 
     Attributes:
-        keep: (m,) whether a row stays; the others leave for half a second at most.
-        lasting: leaps between rows that stay, each with s since the first row and m.
+        keep: (m,) mask of rows to keep; the others are away for half a second at most.
+        lasting: jumps between kept rows, each as time since the first row, s, and distance, m.
     """
 
     keep: Bools
@@ -36,12 +36,12 @@ class TruthJumps:
 
 
 def fastest_m_s(t_s: Array, angle: Array, radius_m: float) -> float:
-    """Speed of the fastest wheel in a tenth of a second, m/s.
+    """Largest speed of any wheel over a tenth of a second, m/s.
 
     Args:
         t_s: (n,) times of the rows, s.
         angle: (n, 4) cumulative wheel angles, rad.
-        radius_m: of the wheels.
+        radius_m: radius of the wheels.
     """
     grid_s = np.arange(t_s[0], t_s[-1], _GRID_S)
     ways = [np.abs(np.diff(np.interp(grid_s, t_s, column))).max(initial=0.0) for column in angle.T]
@@ -49,15 +49,15 @@ def fastest_m_s(t_s: Array, angle: Array, radius_m: float) -> float:
 
 
 def find_jumps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> TruthJumps:
-    """TruthJumps in poses, seen from the longest part without one.
+    """Find jumps in poses, relative to the longest part without one.
 
-    A step is possible within five times what the fastest wheel rolls meanwhile, and noise: 30 mm, or ten
-    typical steps, so that wrong units are not taken for leaps.
+    A step is possible if it is at most five times the way of the fastest wheel meanwhile plus noise: 30 mm,
+    or ten typical steps, so that wrong units are not mistaken for jumps.
 
     Args:
         t_s: (m,) times of the rows, s, increasing.
         pose: (m, 3) ground truth, m, m, rad.
-        speed_m_s: of the fastest wheel.
+        speed_m_s: speed of the fastest wheel.
         lever: way of a wheel per rad of heading, m.
     """
     rows = np.arange(len(t_s))
@@ -88,7 +88,7 @@ def find_jumps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> Truth
 
 
 def _apart_m(pose: Array, one: Rows, other: Rows, lever: float) -> Array:
-    """Ways between rows of poses, turns at the distance of the wheels, m."""
+    """Distances between rows of poses, m, with turns at the distance of the wheels."""
     x, y, turn = (pose[other] - pose[one]).T
     turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
     return np.asarray(np.hypot(x, y) + lever * np.abs(turn), dtype=np.float64)

@@ -1,7 +1,7 @@
-"""Checks that a recording is in seconds, metres and radians, by what the robot can have done.
+"""Checks that a recording is in seconds, metres and radians, by what is possible for the robot.
 
-Wheels and ground truth saw the same drive. What one of them says bounds the other, whatever the robot's size.
-Every bound leaves a factor that no slip, tolerance or wrong bench file reaches; a wrong unit is beyond it.
+Wheels and ground truth measured the same drive. Each bounds the other, whatever the robot's size. Every bound
+has a factor of margin that no slip, tolerance or wrong bench file reaches; a wrong unit exceeds it.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _STRIDE_S = 1.0
 
 
 def check_time(where: str, t_s: Array) -> None:
-    """Refuse stamps (n,) of wheel rows, as they stand in the file, that are not in seconds.
+    """Refuse stamps (n,) of wheel rows, as in the file, that are not in seconds; raises `DataError`.
 
-    The fastest wheel (4.9 rad/s) makes half a turn in 0.64 s: rows further apart say neither how far a wheel
-    rolled nor where it was steered meanwhile. No servo bus is read more often than a thousand times a second,
-    so in milliseconds rows are 1 apart or more. Between both lies the limit of 0.5. The median counts: gaps,
-    repeats and damaged stamps do not matter. Raises `DataError`.
+    The fastest wheel (4.9 rad/s) makes half a turn in 0.64 s: rows further apart determine neither how far a
+    wheel rolled nor how it was steered meanwhile. No servo bus is read more often than a thousand times a
+    second, so in milliseconds rows are 1 apart or more. The limit of 0.5 lies between both. It applies to the
+    median, so gaps, repeats and damaged stamps do not matter.
     """
     finite = t_s[np.isfinite(t_s)]
     with np.errstate(over="ignore"):
@@ -45,9 +45,9 @@ def check_time(where: str, t_s: Array) -> None:
 
 
 def check_stamp_jumps(where: str, t_s: Array) -> None:
-    """Refuse times (n,), s, increasing, with a day or more between two rows, as a damaged stamp leaves.
+    """Refuse increasing times (n,), s, with more than a day between two rows, as from a damaged stamp.
 
-    A drive is shorter, and the straight way that bridges a gap says nothing across one. Raises `DataError`.
+    A drive is shorter, and interpolation across such a gap is meaningless. Raises `DataError`.
     """
     leap_s = float(np.max(np.diff(t_s)))
     if leap_s > _DAY_S:
@@ -64,22 +64,22 @@ def check_units(
 ) -> None:
     """Refuse angles that are not in radians and positions that are not in metres.
 
-    * Steering stays within the robot's limit, with 80 deg to spare.
-    * The robot goes no further than 20 times as far as its wheels roll, and 1 m: millimetres are 1000.
-    * It turns by no more than its wheels roll around its middle. Allowed are 5 times that, as no wheel is so
-      wrong, and a whole turn, by which a wrapped heading may leap. Degrees are 57 times. The heading counts
-      as it stands in the file, without the highest and the lowest hundredth, which may be damaged.
-    * Wheels that roll 10 times as far as the robot goes and turns, from second to second, slip by nine
+    * Steering stays within the robot's limit, with 80 deg of margin.
+    * The robot moves at most 20 times as far as its wheels roll, plus 1 m: millimetres are 1000 times.
+    * It turns at most 5 times as far as its wheels can roll around its middle, since no wheel is so wrong,
+      plus one turn, by which a wrapped heading may jump: degrees are 57 times. The heading is taken as in the
+      file, without the highest and the lowest hundredth, which may be damaged.
+    * Wheels that roll 10 times as far as the robot moves and turns, from second to second, slip by nine
       tenths, or are not in radians: degrees are 57 times, a way in millimetres 25.
 
     Args:
         where: the file, for messages.
-        angle: (n, 4) wheel angles; `steering` (n, 4).
-        steering: of the same rows.
+        angle: (n, 4) wheel angles.
+        steering: (n, 4) steering angles of the same rows.
         truth_t_s: (m,) times of the ground truth, s.
         pose: (m, 3) ground truth, heading unwrapped.
-        heading: (m,) as it stands in the file.
-        nominal: robot that they are judged by.
+        heading: (m,) heading as in the file.
+        nominal: robot that bounds the motion.
 
     Raises:
         DataError: a unit cannot be right.
@@ -122,12 +122,12 @@ def check_units(
 
 
 def rolled_m(angle: Array, radius_m: float) -> float:
-    """Way that wheels with angles (n, 4) rolled, mean of the four, m."""
+    """Way that wheels with angles (n, 4) rolled, mean of the four wheels, m."""
     return float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * radius_m
 
 
 def _seen_m(t_s: Array, pose: Array, lever: float) -> float:
-    """Way of a wheel by ground truth (m, 3), m; rows a second apart, so that noise adds little to it."""
+    """Way of a wheel by ground truth (m, 3), m; from rows a second apart, so that noise adds little."""
     stride = np.floor((t_s - t_s[0]) / _STRIDE_S)
     ends = np.append(np.flatnonzero(np.diff(stride, prepend=-1.0)), len(t_s) - 1)
     x, y, theta = np.diff(pose[ends], axis=0).T

@@ -1,9 +1,9 @@
-"""Finds the unit of a column by its factor: wheels to ground truth, wheel rates to wheel angles.
+"""Finds the unit of a column by its factor: wheels against ground truth, wheel rates against wheel angles.
 
-In stretches of half a second: how far did each wheel roll, how far did ground truth move it, how far did it
-turn by its rate? Slip, noise and tolerances change such a way by tenths, or in single stretches; another unit
-changes it by 6 times or more, in all of them. Raw columns are converted before they are unwrapped, so that a
-counter which wraps at its own whole turn counts too.
+In stretches of half a second the way of each wheel is computed from its angle, from the ground truth, and
+from its rate. Slip, noise and tolerances change such a way by tenths, or in single stretches. Another unit
+changes it by 6 times or more, in all stretches. Raw columns are converted before they are unwrapped, so that
+a counter that wraps at its own whole turn is handled as well.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _DISAGREE, _SAME_UNIT = float(np.log(2.0)), 0.2
 
 @dataclass(frozen=True)
 class _Unit:
-    """A unit that a column may be in by mistake; `to_si` is what its numbers must be multiplied by."""
+    """A wrong unit that a column may be in; `to_si` is the factor that converts its numbers."""
 
     column: str
     name: str
@@ -38,12 +38,12 @@ class _Unit:
 
     @property
     def truth(self) -> tuple[float, float]:
-        """Factors of positions and headings that convert the ground truth."""
+        """Factors on positions and headings that convert the ground truth."""
         return (self.to_si if self.column == "x, y" else 1.0, self.to_si if self.column == "theta" else 1.0)
 
     @property
     def alone(self) -> tuple[float, float]:
-        """A copy with the converted columns only: a column that says little cannot be blamed."""
+        """Factors that keep only the converted columns: a column that adds little cannot be the cause."""
         return (self.to_si, 0.0) if self.column == "x, y" else (0.0, self.to_si)
 
 
@@ -71,7 +71,7 @@ _SI = {
 
 @dataclass(frozen=True)
 class Drive:
-    """Wheels and ground truth of one recording as its file has them.
+    """Wheels and ground truth of one recording, as in the file.
 
     Attributes:
         t_s: (n,) times of the wheel rows, s, increasing.
@@ -87,17 +87,17 @@ class Drive:
 
 
 def check_ways(where: str, drive: Drive, nominal: Nominal) -> None:
-    """Refuse a column that is in another unit: as it stands ways differ by far, converted they agree.
+    """Refuse a column in another unit: the ways differ by far as they are, and agree once it is converted.
 
-    As it stands, wheels and ground truth differ by 2.5 times or more in seven tenths of the stretches in
-    which wheels roll; converted, by less than 1.5 times in as many. One slide, spin or leap does not decide.
-    Where a column that says little of the way would mend it too, as positions in turns on the spot do where
-    the mark is far from the middle of the robot, nothing is refused.
+    Unconverted, wheels and ground truth differ by 2.5 times or more in seven tenths of the stretches in which
+    wheels roll; converted, by less than 1.5 times in as many. A single slide, spin or jump does not decide.
+    If converting a column that adds little to the way also makes the ways agree, nothing is refused. An
+    example are positions in turns on the spot, where the marker is far from the middle of the robot.
 
     Args:
         where: the file, for messages.
         drive: the recording before any unwrapping.
-        nominal: robot whose wheels rolled.
+        nominal: robot with the wheels.
 
     Raises:
         DataError: names column, unit and factor.
@@ -135,7 +135,7 @@ def check_ways(where: str, drive: Drive, nominal: Nominal) -> None:
 
 
 def _rolled(drive: Drive, edges_s: Array, wheels: WheelGeometry, factor: float = 1.0) -> Array:
-    """Way (s,) that wheels rolled between edges (s + 1,), mean of the four, m, by angles times a factor."""
+    """Way (s,) of the wheels between edges (s + 1,), mean of the four, m, with angles times a factor."""
     angle = np.unwrap(drive.angle * factor, axis=0)
     turned = np.diff([np.interp(edges_s, drive.t_s, column) for column in angle.T])
     return np.asarray(np.mean(np.abs(turned) * wheels.radius_m[:, None], axis=0), dtype=np.float64)
@@ -144,7 +144,7 @@ def _rolled(drive: Drive, edges_s: Array, wheels: WheelGeometry, factor: float =
 def _moved(
     drive: Drive, edges_s: Array, wheels: WheelGeometry, position: float = 1.0, heading: float = 1.0
 ) -> Array:
-    """Way (s,) that ground truth moved the wheels, mean of the four, m, by poses times two factors."""
+    """Way (s,) of the wheels by ground truth, mean of the four, m, with poses times two factors."""
     x, y, theta = (drive.pose * (position, position, heading)).T
     x, y, theta = (np.interp(edges_s, drive.truth_t_s, column) for column in (x, y, np.unwrap(theta)))
     turn, middle = np.diff(theta), 0.5 * (theta[1:] + theta[:-1])
@@ -155,7 +155,7 @@ def _moved(
 
 
 def _logs(rolled: Array, moved: Array) -> Array:
-    """How far apart ways (s,) are, as logarithms, in the stretches in which the wheels clearly roll."""
+    """Absolute log ratios of two ways (s,), in the stretches in which the wheels clearly roll."""
     if not len(rolled) or not rolled.any():
         return np.empty(0)
     rolls = rolled > _ROLLING * np.percentile(rolled, 90.0)
@@ -163,23 +163,24 @@ def _logs(rolled: Array, moved: Array) -> Array:
 
 
 def _share(rolled: Array, moved: Array, within: float) -> float:
-    """Share of the stretches whose ways agree within a logarithm; all of them where there are too few."""
+    """Share of the stretches whose ways agree within a log ratio; 1 where there are too few stretches."""
     logs = _logs(rolled, moved)
     return float(np.mean(logs < within)) if len(logs) >= _FEWEST else 1.0
 
 
 def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
-    """Refuse wheel rates that are not the rates of the wheel angles, in rad/s.
+    """Refuse wheel rates that are not the time derivative of the wheel angles, in rad/s.
 
-    A wheel counts where it turns at 0.2 rad/s or more, by either, in three stretches or more: a register that
-    counts in steps reads slower ones badly. It disagrees where seven tenths of them are off by twice or more,
-    or turn the other way. Where all wheels turn the other way, `hil.datasets.wrong_signs` says so.
+    A wheel counts if it turns at 0.2 rad/s or more, by angle or rate, in at least three stretches: a register
+    that counts in steps is inaccurate at lower speeds. It disagrees if seven tenths of them are off by a
+    factor of two or more, or have the opposite sign. If all wheels have the opposite sign,
+    `hil.datasets.wrong_signs` reports it.
 
     Args:
         where: the file, for messages.
         t_s: (n,) times, s, increasing.
         angle: (n, 4) wheel angles, rad, unwrapped.
-        rate: (n, 4) wheel rates; not checked where one is no number.
+        rate: (n, 4) wheel rates; not checked if one is not finite.
 
     Raises:
         DataError: names the columns, and the unit where the factor shows it.
@@ -189,9 +190,9 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
     edges_s = np.arange(t_s[0], t_s[-1], _STRETCH_S)
     way = np.vstack([np.zeros(4), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None], axis=0)])
     pairs = (np.diff([np.interp(edges_s, t_s, c) for c in columns.T]) for columns in (angle, way))
-    ratios = [_ratios(turned, said) for turned, said in zip(*pairs, strict=True)]
-    heard = [r for r in ratios if len(r)]
-    if heard and all(np.median(r) < 0.0 for r in heard):
+    ratios = [_ratios(by_angle, by_rate) for by_angle, by_rate in zip(*pairs, strict=True)]
+    counted = [r for r in ratios if len(r)]
+    if counted and all(np.median(r) < 0.0 for r in counted):
         return
     wrong = [i for i, r in enumerate(ratios) if len(r) and np.mean(_agrees(r)) <= 1.0 - _MOST]
     if not wrong:
@@ -214,13 +215,13 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
     )
 
 
-def _ratios(turned: Array, said: Array) -> Array:
-    """What the rate of one wheel says over what its angle does, by stretch; empty where too few count."""
-    turns = np.maximum(np.abs(turned), np.abs(said)) > _SLOWEST_RAD_S * _STRETCH_S
+def _ratios(by_angle: Array, by_rate: Array) -> Array:
+    """Turn of one wheel by rate over turn by angle, per stretch; empty where too few stretches count."""
+    turns = np.maximum(np.abs(by_angle), np.abs(by_rate)) > _SLOWEST_RAD_S * _STRETCH_S
     if np.count_nonzero(turns) < _FEWEST:
         return np.empty(0)
-    held = np.where(np.abs(turned) < 1e-9, 1e-9, turned)
-    return np.asarray(said[turns] / held[turns], dtype=np.float64)
+    nonzero = np.where(np.abs(by_angle) < 1e-9, 1e-9, by_angle)
+    return np.asarray(by_rate[turns] / nonzero[turns], dtype=np.float64)
 
 
 def _agrees(ratio: Array) -> Array:
@@ -228,7 +229,7 @@ def _agrees(ratio: Array) -> Array:
 
 
 def _rate_unit(factor: float) -> _Unit | None:
-    """The unit whose numbers are `factor` times rad/s, None where none is near."""
+    """Unit whose numbers are `factor` times rad/s; None where no unit is near."""
     if factor <= 0.0:
         return None
     off, unit = min(((abs(np.log(factor * unit.to_si)), unit) for unit in _RATES), key=lambda found: found[0])

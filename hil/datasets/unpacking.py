@@ -1,4 +1,4 @@
-"""Unpacks tables and bags that are packed as a whole, by gzip or zstd."""
+"""Decompresses tables and bags that are compressed as a whole, by gzip or zstd."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from hil.core.errors import DataError, reason_of
 from hil.support.file_reading import read_bytes
 
 PACKED = (".zstd", ".zst")
-"""Endings of files that zstd packs as a whole."""
+"""Suffixes of files compressed as a whole by zstd."""
 _MOST_BYTES = 1 << 30
 
 
 def read_packed(path: Path) -> bytes:
-    """Content of a plain or gzip file (by its name).
+    """Content of a plain or gzip file, by its suffix.
 
     Raises:
-        DataError: it is missing, damaged or too large.
+        DataError: the file is missing, damaged or too large.
     """
     try:
         raw = read_bytes(path, _MOST_BYTES)
@@ -37,10 +37,10 @@ def read_packed(path: Path) -> bytes:
 
 @contextmanager
 def unpacked(path: Path) -> Iterator[Path]:
-    """A file, or a folder, as it is; one packed as a whole by zstd (by its name) unpacked, for as long.
+    """The path itself; for a zstd file (by its suffix) a decompressed copy, removed on exit.
 
     Raises:
-        DataError: damaged.
+        DataError: the file is damaged or cannot be read.
     """
     if path.is_dir() or path.suffix not in PACKED:
         yield path

@@ -1,9 +1,9 @@
-"""Unwraps wheel angles: distinguishes wrapped counters from gaps, restarts and unknown turns.
+"""Unwraps wheel angles: distinguishes counter wraps from gaps, restarts and unknown turns.
 
-An angle that leaps by a whole number of turns, from one edge of what its column holds to the other, wrapped.
-One that a wheel can have rolled since the row before is left as it is, however long that was. Where a counter
-wraps at every turn, rows that are further apart than half a turn takes do not say how often the wheel turned;
-its rates may. Nothing else is guessed.
+A jump by a whole number of turns, from one end of the column's range to the other, is a wrap. A step that a
+wheel can have rolled since the row before is left as it is, however long that time was. Where a counter wraps
+at every turn, rows further apart than half a turn takes do not determine the number of turns; the wheel rates
+may. Nothing else is guessed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TURN = 2.0 * np.pi
 _LITTLE_RAD = 0.1
 _FASTEST_RAD_S, _FASTER = 5.0, 1.25
 _FEWEST_LEFT_OUT, _LEFT_OUT = 2, 0.02
-"""Of the fastest steps, which leaps may be: so many at least, and such a share."""
+"""Number (at least) and share of the fastest steps left out, because they may be jumps."""
 _GRID_S = 0.1
 _UNMOVED_RAD = 0.02
 _SAME_RAD = 1e-6
@@ -33,12 +33,12 @@ _ALIKE_RAD = 0.25 * _TURN
 
 @dataclass(frozen=True)
 class Turns:
-    """Wheel angles with their whole turns.
+    """Unwrapped wheel angles.
 
     Attributes:
-        angle: (n, 4) cumulative, rad; what was refused is left in it.
-        repairs: what was repaired, by name and count.
-        refusal: the first leap that is no wrap, or gap with unknown turns.
+        angle: (n, 4) cumulative, rad; refused steps are unchanged.
+        repairs: counts of repairs by name.
+        refusal: error for the first jump that is no wrap, or gap with an unknown number of turns.
     """
 
     angle: Array
@@ -48,15 +48,15 @@ class Turns:
 
 @dataclass(frozen=True)
 class _Steps:
-    """From row to row.
+    """Steps from row to row.
 
     Attributes:
-        lasts_s: (n - 1,) time between them, s.
-        moved: (n - 1, 4) what the angles do, rad.
-        reach: (n - 1,) how far a wheel gets, rad.
-        near: (n - 1,) the same with something for stamps that jitter; what is closer is the same place.
-        by_rate: (n - 1, 4) what the wheel rates make of it, rad, NaN where there are none.
-        off: (n - 1, 4) by how much that is wrong at most where the rate only rose or only fell, rad.
+        lasts_s: (n - 1,) duration, s.
+        moved: (n - 1, 4) change of the angles, rad.
+        reach: (n - 1,) largest possible turn of a wheel, rad.
+        near: (n - 1,) `reach` with a margin for stamp jitter; angles closer than this count as equal.
+        by_rate: (n - 1, 4) turn by the wheel rates, rad, NaN where there are none.
+        off: (n - 1, 4) largest error of `by_rate` for a rate that changed monotonically, rad.
     """
 
     lasts_s: Array
@@ -68,15 +68,15 @@ class _Steps:
 
 
 def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
-    """Undo what is a wrap in wheel angles, and find what is none.
+    """Undo wraps of wheel angles, and find jumps that are no wraps.
 
-    How far a wheel can get between two rows follows from the fastest one of the recording, with a quarter to
-    spare, and at least 5 rad/s. A step of half a turn or less is always left alone within that reach.
+    The largest possible turn between two rows follows from the fastest wheel of the recording, with a quarter
+    of margin, and at least 5 rad/s. A step of at most half a turn within that reach is always left alone.
 
     Args:
         where: the file, for messages.
         t_s: (n,) times of the rows, s, increasing.
-        angle: (n, 4) as they stand in the file, rad.
+        angle: (n, 4) wheel angles as in the file, rad.
         rate: (n, 4) wheel rates, rad/s, NaN where there are none.
     """
     steps = _steps(t_s, angle, rate)
@@ -111,7 +111,7 @@ def _steps(t_s: Array, angle: Array, rate: Array) -> _Steps:
 
 
 def _fastest_rad_s(t_s: Array, angle: Array) -> float:
-    """Speed of the fastest wheel in a tenth of a second, rad/s; wraps do not count."""
+    """Largest speed of any wheel over a tenth of a second, rad/s; wraps do not count."""
     ways = []
     grid_s = np.arange(t_s[0], t_s[-1], _GRID_S)
     for column in angle.T:
@@ -121,16 +121,16 @@ def _fastest_rad_s(t_s: Array, angle: Array) -> float:
 
 
 def _without_jumps(ways: Array) -> float:
-    """The largest of some (n,) in order, without those that leaps may be."""
+    """The largest of the sorted values (n,), after leaving out the steps that may be jumps."""
     left_out = max(_FEWEST_LEFT_OUT, int(_LEFT_OUT * len(ways)))
     return float(ways[-1 - left_out]) if len(ways) > left_out else 0.0
 
 
 def _wrapped(angle: Array, steps: _Steps, far: Bools) -> tuple[Array, Bools]:
-    """Turns (n - 1, 4) to add behind each step, and which steps wrapped.
+    """Turns (n - 1, 4) to add after each step, and mask of the steps that wrapped.
 
-    One that did is a whole number of turns, but for what the wheel can have rolled meanwhile, and goes from
-    one edge of the column to the other, but for as much.
+    A wrap is a whole number of turns and goes from one end of the column's range to the other, both within
+    what the wheel can have rolled meanwhile.
     """
     turns, near = -np.round(steps.moved / _TURN), steps.near[:, None]
     low, high = angle - angle.min(axis=0), angle.max(axis=0) - angle
@@ -141,9 +141,9 @@ def _wrapped(angle: Array, steps: _Steps, far: Bools) -> tuple[Array, Bools]:
 
 
 def _by_rates(steps: _Steps) -> tuple[Array, Bools]:
-    """Turns (n - 1, 4) by which angles go as far as the rates say, and where they do to a quarter turn.
+    """Turns (n - 1, 4) at which the angles agree with the rates, and mask where they do to a quarter turn.
 
-    A rate that changes by much within a long gap says too little: it is not known when it did.
+    A rate that changes much within a long gap is not used: the time of the change is unknown.
     """
     lacking = steps.by_rate - steps.moved
     turns = np.round(np.nan_to_num(lacking) / _TURN)
@@ -152,21 +152,21 @@ def _by_rates(steps: _Steps) -> tuple[Array, Bools]:
 
 
 def _as_at_first(angle: Array) -> Bools:
-    """Before which rows (n - 1,) all wheels are where the recording began, or at 0."""
+    """Mask of rows (n - 1,), after the first, where all wheels are at their first angle, or at 0."""
     later = angle[1:]
     same = np.all(np.abs(later - angle[0]) < _SAME_RAD, axis=1)
     return np.asarray(same | np.all(np.abs(later) < _SAME_RAD, axis=1))
 
 
 def _with_turns(angle: Array, turns: Array) -> Array:
-    """Angles (n, 4) with turns (n - 1, 4) added behind each step; bit for bit as they are without any."""
+    """Angles (n, 4) with turns (n - 1, 4) added after each step; bit-identical without any."""
     if not turns.any():
         return np.array(angle)
     return np.asarray(angle + _TURN * np.vstack([np.zeros(4), np.cumsum(turns, axis=0)]), dtype=np.float64)
 
 
 def _refusal(where: str, t_s: Array, steps: _Steps, leaps: Bools, unknown: Bools) -> DataError | None:
-    """What the first of the steps is that cannot be used; none where all can."""
+    """Error for the first step that cannot be used; None where all can."""
     found = np.flatnonzero(np.any(leaps | unknown, axis=1))
     if not len(found):
         return None

@@ -1,8 +1,8 @@
 """Finds wrong signs of wheels by comparing their path with ground truth.
 
-A fit cannot mend a wrong sign: all its parameters would end at their bounds. It is named instead, from second
-to second and in the robot's own frame, so that neither drift nor a leap decides. Where no single change of a
-column explains the difference, a warning says how large it is.
+A fit cannot correct a wrong sign: all its parameters would end at their bounds. So wrong signs are found from
+moves of one second in the robot's own frame, where neither drift nor a jump decides. Where no single change
+of a column explains the difference, a warning states its size.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _WRONG, _RIGHT = 0.6, 0.3
 _UNEXPLAINED = 0.2
 _ROLLING, _LEAST_ROLLED_RAD = 0.3, 0.05
 _PARTS = ((slice(0, 2), 0.3), (slice(2, 3), 0.1))
-"""Going, and turning at the wheels: from which share of the whole way each counts on its own."""
+"""Translation, and turning at the wheels: share of the whole way from which each is judged on its own."""
 _NAMED = 4
 _NOTHING_M = 1e-9
 LOOK = (
     "look for wheels in another order, a wheel or its steering (delta) with the other sign, x and y "
     "exchanged, a heading (theta) that is not the robot's, a wrong column, unit or bench file"
 )
-"""What to do about recordings that no geometry explains."""
+"""Remedy for recordings that no geometry explains."""
 RATES_AGAINST = "the wheel rates (w) have the other sign than the wheel angles (phi)"
 _CONTRADICTS = "the wheels contradict the ground truth, and would agree if {}"
 _AGAINST = -0.5
@@ -42,11 +42,11 @@ _MIRRORED = np.tile([1.0, -1.0], 4)
 
 @dataclass(frozen=True)
 class WrongSigns:
-    """Which of R recordings contradict themselves, and would not with another sign.
+    """Recordings, of R, that contradict the ground truth and would agree with another sign.
 
     Attributes:
-        explained: (R,) of each change of a column, by its name: which recordings it explains.
-        against: of each change, how many others show that it is not one of all recordings.
+        explained: for each change of a column, by description, mask (R,) of the recordings that it explains.
+        against: for each change, number of recordings that it would spoil.
     """
 
     explained: Mapping[str, Bools]
@@ -54,7 +54,7 @@ class WrongSigns:
 
     @property
     def of_all(self) -> bool:
-        """Whether a change may be one of all recordings: half call for it, or as many as speak against it."""
+        """Whether a change may apply to all recordings: half support it, or as many as it would spoil."""
         counts = {words: np.count_nonzero(found) for words, found in self.explained.items()}
         return any(
             2 * n >= len(self.explained[words]) or n >= max(2, self.against[words])
@@ -63,23 +63,23 @@ class WrongSigns:
         )
 
     def likely(self) -> list[str]:
-        """The changes that explain the most recordings; none where nothing is wrong."""
+        """Changes that explain the most recordings; empty where nothing is wrong."""
         counts = {words: np.count_nonzero(found) for words, found in self.explained.items()}
         best = max(counts.values())
         return [words for words, n in counts.items() if n == best and n]
 
     def warning_for(self, index: int) -> str:
-        """What is wrong with one recording, and what would have to change; empty where nothing is."""
+        """Warning for one recording that names the changes that would correct it; empty where it is right."""
         changes = [words for words, found in self.explained.items() if found[index]]
         return _CONTRADICTS.format(", or if ".join(changes)) if changes else ""
 
 
 def wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> WrongSigns:
-    """Find recordings whose wheels contradict the ground truth, and would not with another sign.
+    """Find recordings whose wheels contradict the ground truth, and would agree with another sign.
 
-    A recording counts where its wheels miss more than 0.6 of the true way or of the true turning, and less
-    than 0.3 of both with the sign changed: no geometry, slip or noise does both. It speaks against a change
-    where it is the other way round.
+    A recording counts if its wheels miss more than 0.6 of the true way or of the true turning, and less than
+    0.3 of both with the sign changed: no geometry, slip or noise does both. It counts against a change in the
+    reverse case.
     """
     strides = _Strides(reduce_recordings(recordings, _BLOCK_S), nominal.geometry)
     rolled, moved = strides.rolled(), strides.moved()
@@ -97,9 +97,9 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
     """Refuse recordings whose wheels contradict the ground truth or their own rates, see `wrong_signs`.
 
     Args:
-        recordings: to look at.
+        recordings: recordings to check.
         nominal: robot that they are read for.
-        of_all: refuse only what may be wrong in all of them.
+        of_all: whether to refuse only signs that may be wrong in all of them.
 
     Raises:
         DataError: names the first file, and the columns that may be wrong.
@@ -130,16 +130,16 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
 
 
 def missed_shares(recordings: Sequence[Recording], geometry: WheelGeometry) -> Array:
-    """Share (R,) of the true way or turning, whichever is more, that wheels of this geometry miss."""
+    """Share (R,) of the true way or turning, the larger one, that wheels of this geometry miss."""
     strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
     return strides.missed(strides.rolled(), strides.moved())
 
 
 def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
-    """One line where wheels of this geometry miss more than a fifth of the true way or turning; else none.
+    """One line if wheels of this geometry miss more than a fifth of the true way or turning; else none.
 
-    Slip bursts and spoilt stretches miss up to 0.16, tolerances of a workshop a few hundredths. One steering
-    angle with the wrong sign misses 0.25 on a circle, two wheels that are exchanged 0.5.
+    Slip bursts and corrupted stretches miss up to 0.16, workshop tolerances a few hundredths. One steering
+    angle with the wrong sign misses 0.25 on a circle, two exchanged wheels 0.5.
     """
     missed = missed_shares(recordings, geometry)
     found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
@@ -160,7 +160,7 @@ def _place(recording: Recording) -> str:
 
 
 def rates_against_angles(recording: Recording) -> bool:
-    """Whether the wheel rates have the other sign than the wheel angles."""
+    """Whether the wheel rates have the opposite sign of the wheel angles."""
     if not recording.has_rates:
         return False
     grid_s = np.arange(recording.t_s[0], recording.t_s[-1], 1.0)
@@ -172,9 +172,9 @@ def rates_against_angles(recording: Recording) -> bool:
 
 
 class _Strides:
-    """R recordings second by second (S strides): how their wheels rolled, and how the robot truly moved.
+    """R recordings in strides of one second (S strides): moves by the wheels, and true moves.
 
-    A stride ends at the last block of its second whose end the ground truth knows; one across a gap does not
+    A stride ends at the last block of its second with known ground truth; a stride across a gap does not
     count.
     """
 
@@ -190,7 +190,7 @@ class _Strides:
         return np.take_along_axis(rows, self._ends[..., None], axis=1)
 
     def rolled(self, signs: Array | float = 1.0) -> Array:
-        """Moves (R, S, 3) by nominal odometry, of wheel vectors times signs (8,)."""
+        """Moves (R, S, 3) by nominal odometry, from wheel vectors times signs (8,)."""
         x, y = (signs * self._blocks.wheel_rad)[..., 0::2], (signs * self._blocks.wheel_rad)[..., 1::2]
         radius_m, zero_rad = self._geometry.radius_m, self._geometry.steering_zero_rad
         vectors = wheel_vectors(radius_m * np.hypot(x, y), np.arctan2(y, x) - zero_rad)
@@ -198,16 +198,16 @@ class _Strides:
         return _moves(self._at_ends(integrate(np.zeros(3), motion)))
 
     def moved(self, signs: Sequence[float] = (1.0, 1.0, 1.0), order: Sequence[int] = (0, 1, 2)) -> Array:
-        """True moves (R, S, 3), of poses whose x, y and theta come in this order and with these signs."""
+        """True moves (R, S, 3), with x, y and theta of the poses reordered and multiplied by signs."""
         return _moves(self._poses[..., list(order)] * np.array(signs))
 
     def missed(self, rolled: Array, moved: Array) -> Array:
-        """Share (R,) of the true way or turning, whichever is more, that the wheels miss while they roll."""
+        """Share (R,) of the true way or turning, the larger one, that the wheels miss while they roll."""
         return _share(rolled * self._weight, moved * self._weight)
 
 
 def _changed(strides: _Strides, rolled: Array, moved: Array) -> dict[str, Array]:
-    """Share (R,) that the wheels would miss, by what would have to change; moves (R, S, 3) unchanged."""
+    """Share (R,) that the wheels would miss for each change of a column; `rolled`, `moved`: unchanged."""
     pairs = {
         "the wheel angles (phi) had the other sign": (strides.rolled(-1.0), moved),
         "the steering (delta) had the other sign": (strides.rolled(_MIRRORED), moved),
@@ -222,7 +222,7 @@ def _changed(strides: _Strides, rolled: Array, moved: Array) -> dict[str, Array]
 
 
 def _ends(blocks: Blocks) -> Rows:
-    """(R, S + 1): at which edge the strides of each recording begin and end."""
+    """Edge indices (R, S + 1) at which the strides of each recording begin and end."""
     edges = np.arange(blocks.known.shape[1] + 1)
     known = np.pad(blocks.known, ((0, 0), (1, 0)), constant_values=True)
     last_known = np.maximum.accumulate(np.where(known, edges, 0), axis=1)
@@ -230,7 +230,7 @@ def _ends(blocks: Blocks) -> Rows:
 
 
 def _rolling(blocks: Blocks, ends: Rows) -> Bools:
-    """(R, S): strides in which the wheels roll, so that the noise of a rest does not count."""
+    """Mask (R, S) of strides in which the wheels roll; noise at rest does not count."""
     way = np.pad(np.cumsum(blocks.wheel_rad, axis=1), ((0, 0), (1, 0), (0, 0)))
     rolled = np.linalg.norm(np.diff(np.take_along_axis(way, ends[..., None], axis=1), axis=1), axis=2)
     least = np.maximum(_ROLLING * rolled.mean(axis=1, keepdims=True), _LEAST_ROLLED_RAD)
@@ -238,7 +238,7 @@ def _rolling(blocks: Blocks, ends: Rows) -> Bools:
 
 
 def _share(moves: Array, true: Array) -> Array:
-    """Share (R,) of true moves (R, S, 3), m, that others miss: of the way or of the turning, if worth it."""
+    """Share (R,) of true moves (R, S, 3), m, that other moves miss, in way or turning where these matter."""
     missed, whole = np.zeros(len(true)), _size(true)
     for part, worth in _PARTS:
         way = _size(true[..., part])
@@ -253,7 +253,7 @@ def _size(moves: Array) -> Array:
 
 
 def _moves(poses: Array) -> Array:
-    """Moves (R, S, 3) between poses (R, S + 1, 3), in the frame of the first of both."""
+    """Moves (R, S, 3) between consecutive poses (R, S + 1, 3), in the frame of the earlier one."""
     x, y, turn = np.moveaxis(np.diff(poses, axis=1), -1, 0)
     c, s = np.cos(poses[:, :-1, 2]), np.sin(poses[:, :-1, 2])
     return np.stack([c * x + s * y, c * y - s * x, turn], axis=-1)

@@ -1,4 +1,4 @@
-"""Pose estimation: wheel odometry, EKF and UKF behind one seam, `hil.core.interfaces.Estimator`."""
+"""Pose estimation: wheel odometry, EKF and UKF behind one interface, `hil.core.interfaces.Estimator`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ SURFACES = ("wall", "floor")
 def make_estimator(
     config: EstimatorConfig, geometry: WheelGeometry, *, surface: str, diagnostics: bool = True
 ) -> Estimator:
-    """Estimator of a configuration.
+    """Make the estimator that a configuration selects.
 
     Args:
         config: `[estimator]` of the bench file.
         geometry: calibrated wheel parameters.
         surface: `wall` (gravity lies in the motion plane) or `floor`.
-        diagnostics: whether a filter's states carry them; an observer's are not read.
+        diagnostics: whether the filter's states contain diagnostics; nobody reads those of an observer.
 
     Raises:
         ConfigError: an unknown surface, or two free scales.

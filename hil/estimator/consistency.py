@@ -1,9 +1,9 @@
-"""Consistency of a filter: NEES against truth, bands of chi squared, whiteness.
+"""Consistency of a filter: NEES against ground truth, chi-squared bands, whiteness of innovations.
 
-NEES, the normalised estimation error squared, is e' P^-1 e of the error e with the filter's covariance P. Its
-mean is the number of states where the filter is consistent; above it the filter is over-confident. NIS, the
-normalised innovation squared, is the same of an innovation and needs no truth. Innovations of a consistent
-filter are white.
+NEES, the normalised estimation error squared, is e' P^-1 e of the error e with the filter's covariance P. For
+a consistent filter its mean is the number of states; a larger mean shows an over-confident filter. NIS, the
+normalised innovation squared, is the same quantity for an innovation and needs no ground truth. The
+innovations of a consistent filter are white.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ _LEAST_VARIANCE = 1e-14
 def nees(error: Array, covariance: Array) -> Array:
     """Normalised estimation error squared (n,) of errors (n, d) with covariances (n, d, d).
 
-    Error and covariance are of the same states, in the same frame and units. Rows that are not finite give
-    NaN; a state that is exactly known has no say.
+    Error and covariance belong to the same states, in the same frame and units. Rows that are not finite
+    give NaN. 1e-14 is added to every variance, so that an exactly known state does not make P singular.
     """
     out = np.full(len(error), np.nan)
     known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
@@ -32,12 +32,12 @@ def nees(error: Array, covariance: Array) -> Array:
 
 
 def band(degrees: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
-    """Interval for the mean over independent runs of a chi-squared variable.
+    """Interval for the mean of a chi-squared variable over independent runs.
 
     Args:
-        degrees: of freedom of one.
-        runs: how many are averaged.
-        probability: with which a consistent filter lies inside.
+        degrees: degrees of freedom in one run.
+        runs: number of runs averaged.
+        probability: probability that the mean of a consistent filter lies inside.
     """
     total = degrees * runs
     tail = 0.5 * (1.0 - probability)
@@ -55,7 +55,7 @@ def autocorrelation(innovation: Array, lags: int = 20) -> Array:
 
 
 def whiteness(innovation: Array, lags: int = 20) -> float:
-    """Probability that a white series (n,) would be as correlated as this one (Ljung-Box)."""
+    """p-value of the Ljung-Box test: probability that a white series (n,) is at least as correlated."""
     n = len(innovation)
     weight = n * (n + 2.0) / (n - np.arange(1, lags + 1))
     return float(chdtrc(lags, float(weight @ autocorrelation(innovation, lags) ** 2)))

@@ -1,10 +1,10 @@
-"""Where a constant body twist takes the state, and the derivatives of that.
+"""Motion of the state under a constant body twist, and its derivatives.
 
-One twist moves two poses: that in the wall frame, and that in the camera's own frame, (1 + scale) as far.
-The derivative by the scale is taken at what the wheels say of the velocity (`nominal`, (2,), m/s, body
-frame), not at the estimate: this carries the noise of the very camera samples that the next one is compared
-with, and with it the scale would drift whatever the truth (docs/decisions/0024). In the mean the estimate
-counts.
+One twist moves two poses: the one in the wall frame and the one in the camera's own frame. The latter moves
+(1 + scale) times as far. The derivative by the scale is taken at the velocity that the wheels measure
+(`nominal`, (2,), m/s, body frame), not at the estimated velocity. The estimate contains the noise of the same
+camera samples that the next sample is compared with; with it the scale would drift whatever the truth
+(docs/decisions/0024). The mean uses the estimated velocity.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def sinc_slope(h: float) -> float:
 
 @inner
 def shift(theta: float, ahead: float, left: float, omega: float, dt_s: float) -> tuple[float, float]:
-    """Displacement at heading `theta` by a body twist (ahead, left, omega) in `dt_s`."""
+    """Displacement at heading `theta` by a body twist (ahead, left, omega) over `dt_s`."""
     h = 0.5 * omega * dt_s
     k = sinc(h) * dt_s
     c, s = math.cos(theta + h), math.sin(theta + h)
@@ -63,7 +63,7 @@ def shift(theta: float, ahead: float, left: float, omega: float, dt_s: float) ->
 
 @inner
 def shift_slopes(theta: float, ahead: float, left: float, omega: float, dt_s: float) -> tuple[Slopes, Slopes]:
-    """Derivative of both numbers of `shift` by heading and twist."""
+    """Derivatives of both components of `shift` by heading and twist."""
     h = 0.5 * omega * dt_s
     k = sinc(h) * dt_s
     c, s = math.cos(theta + h), math.sin(theta + h)
@@ -77,19 +77,22 @@ def shift_slopes(theta: float, ahead: float, left: float, omega: float, dt_s: fl
 
 @inner
 def times(size: float, a: Slopes) -> Slopes:
-    """Each derivative `size` times as large."""
+    """Multiply all four derivatives by `size`."""
     return size * a[0], size * a[1], size * a[2], size * a[3]
 
 
 @inner
 def wall_shift(x: Array, dt_s: float) -> tuple[float, float]:
-    """Displacement of the pose in the wall frame of a state (20,)."""
+    """Displacement of the pose in the wall frame, for a state (20,)."""
     return shift(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
 
 
 @inner
 def sight_shift(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array) -> tuple[float, float]:
-    """Displacement of the second pose of x (20,); `scale`: of the mean, points differ; nominal (2,)."""
+    """Displacement of the pose in the camera's frame, for x (20,).
+
+    `scale` is the mean's scale error. The part by which a sigma point differs from it acts on `nominal` (2,).
+    """
     east, north = shift(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
     far_east, far_north = shift(x[SIGHT_THETA], nominal[0], nominal[1], x[OMEGA], dt_s)
     size, more = 1.0 + scaled * scale, scaled * (x[SCALE] - scale)
@@ -98,7 +101,7 @@ def sight_shift(x: Array, dt_s: float, scaled: float, scale: float, nominal: Arr
 
 @inner
 def fade(x: Array, dt_s: float, decay: float) -> None:
-    """Headings and slip velocity of the state (20,) after `dt_s`: what moves linearly."""
+    """Advance the linear part of the state (20,) by `dt_s`: both headings and the slip velocity; in place."""
     x[THETA] += x[OMEGA] * dt_s
     x[SIGHT_THETA] += x[OMEGA] * dt_s
     x[SLIP_X] *= decay
@@ -107,7 +110,7 @@ def fade(x: Array, dt_s: float, decay: float) -> None:
 
 @inner
 def go(x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: float, decay: float) -> None:
-    """Move both poses of the state (20,) by their displacements, and what moves linearly."""
+    """Add the displacements to both poses of the state (20,), then advance its linear part; in place."""
     x[X] += wall[0]
     x[Y] += wall[1]
     x[SIGHT_X] += sight[0]
@@ -117,7 +120,7 @@ def go(x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: fl
 
 @inner
 def move(x: Array, dt_s: float, slip_s: float, scaled: float, scale: float, nominal: Array) -> None:
-    """State (20,) after `dt_s`: SE(2) exponential of the body twist, decay of the slip velocity."""
+    """Advance the state (20,) by `dt_s`, in place: SE(2) exponential of the twist, decay of the slip."""
     wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, scaled, scale, nominal)
     go(x, wall, sight, dt_s, math.exp(-dt_s / slip_s))
 
@@ -126,7 +129,10 @@ def move(x: Array, dt_s: float, slip_s: float, scaled: float, scale: float, nomi
 def slopes(
     x: Array, dt_s: float, scaled: float, nominal: Array
 ) -> tuple[Slopes, Slopes, Slopes, Slopes, tuple[float, float]]:
-    """Derivatives of what moves x (20,): wall x, y, sight x, y, and sight by the scale; nominal (2,)."""
+    """Derivatives of the displacements of x (20,) by heading and twist, and of the camera's by the scale.
+
+    Returns wall x, wall y, camera x, camera y, and camera (x, y) by the scale; `nominal` (2,).
+    """
     a, b = shift_slopes(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
     c, d = shift_slopes(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
     far = shift(x[SIGHT_THETA], scaled * nominal[0], scaled * nominal[1], x[OMEGA], dt_s)
@@ -136,7 +142,7 @@ def slopes(
 
 @inner
 def transition(x: Array, dt_s: float, slip_s: float, scaled: float, nominal: Array) -> Array:
-    """Derivative (20, 20) of `move` by the state."""
+    """Derivative (20, 20) of `move` by the state: the transition matrix F."""
     f = np.eye(STATES)
     a, b, c, d, far = slopes(x, dt_s, scaled, nominal)
     f[X, THETA], f[X, V_X], f[X, V_Y], f[X, OMEGA] = a

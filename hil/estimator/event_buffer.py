@@ -1,8 +1,8 @@
-"""Events in their total order and the state after each one, in preallocated rings.
+"""Ring buffers of events in a fixed total order, with the filter state after each event.
 
-Order: stamp, number of the sensor, sequence number, content. Because the state after event k depends on the
-events up to k alone, the order of arrival cannot change a bit, as long as a sample is younger than the
-history.
+Order: stamp, number of the sensor, sequence number, content. The state after event k depends only on the
+events up to k. So the order of arrival does not change a single bit, as long as every sample is newer than
+the start of the history.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FIRST, COUNT, LATE, DUPLICATE = range(4)
 def earlier(
     a_ns: int, a_number: int, a_seq: int, a: Array, b_ns: int, b_number: int, b_seq: int, b: Array
 ) -> int:
-    """-1, 0 or 1: whether event a, row (n,), comes before b, is the same, or comes after it."""
+    """Compare event a with event b, rows (n,): -1 where a comes first, 0 where they are the same, else 1."""
     if a_ns != b_ns:
         return -1 if a_ns < b_ns else 1
     if a_number != b_number:
@@ -47,9 +47,9 @@ def earlier(
 
 @inner
 def insert(marks: Ints, ring: Samples, new: Samples, n: int) -> int:
-    """Put the sample `n` of `new` into the ring of events; its place, -1 if it is there.
+    """Insert sample `n` of `new` into the ring; return its place, or -1 for a duplicate.
 
-    The caller has made room. Event 0 is the base of the history: the new one comes after it.
+    The caller has made room. Event 0 is the base of the history; a new event is always placed after it.
     """
     t_ns, numbers, seqs, data = ring
     new_ns, new_number, new_seq, added = new[0][n], new[1][n], new[2][n], new[3][n]
@@ -75,7 +75,7 @@ def insert(marks: Ints, ring: Samples, new: Samples, n: int) -> int:
 
 @inner
 def let_go(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> None:
-    """Forget events older than the span, and more of them where `room` new ones would not fit."""
+    """Drop events older than the span, and further old ones until `room` new events fit."""
     capacity = t_ns.shape[0]
     now_ns = max(now_ns, t_ns[(marks[FIRST] + marks[COUNT] - 1) % capacity])
     while marks[COUNT] > 1:
@@ -88,9 +88,9 @@ def let_go(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> Non
 
 @inner
 def in_order(t_ns: Ints, number: int) -> Ints:
-    """Places of the first `number` stamps, the earliest first; of like ones that which came first.
+    """Indices that sort the first `number` stamps; equal stamps keep their order.
 
-    A cycle brings a few, nearly in order: an insertion sort is as quick as any, and soon compiled.
+    A cycle brings few samples, nearly in order: insertion sort is as fast as any here and compiles quickly.
     """
     order = np.zeros(number, np.int64)
     for k in range(number):
@@ -104,15 +104,15 @@ def in_order(t_ns: Ints, number: int) -> Ints:
 
 @kernel
 def enter(marks: Ints, ring: Samples, span_ns: int, now_ns: int, number: int, new: Samples) -> int:
-    """Put a cycle's samples into the ring, old ones first; the first place to replay from.
+    """Put a cycle's samples into the ring, oldest first; return the first place to replay from.
 
     Args:
         marks: (4,) first slot, number of events, refused as late, refused as duplicates; changed in place.
-        ring: its samples, changed in place.
+        ring: the samples in the ring, changed in place.
         span_ns: how far back a sample may lie.
         now_ns: time of the cycle.
-        number: of new samples.
-        new: these, in any order.
+        number: number of new samples.
+        new: the new samples, in any order.
     """
     (t_ns, numbers, seqs, data), (new_ns, new_numbers, new_seqs, new_data) = ring, new
     capacity = t_ns.shape[0]
@@ -140,18 +140,18 @@ def enter(marks: Ints, ring: Samples, span_ns: int, now_ns: int, number: int, ne
 
 
 class History:
-    """Ring of events and checkpoints.
+    """Ring of events with a checkpoint (state, covariance, memory) after each.
 
     Args:
         span_ns: how far back a sample may lie.
         capacity: largest number of events kept, whatever their rate.
 
     Attributes:
-        t_ns, numbers, seqs: (capacity,) stamps, numbers of sensors, sequence numbers.
+        t_ns, numbers, seqs: (capacity,) stamps, sensor numbers, sequence numbers.
         rows: (capacity,) samples.
         x, p, m: (capacity, 20), (capacity, 20, 20), (capacity,): state, covariance, memory after each event.
         marks: (4,) first slot, number of events, refused as late, refused as duplicates.
-        events, states: the same arrays, as `hil.estimator.event_loop.run` takes them.
+        events, states: the same arrays in the form that `hil.estimator.event_loop.run` takes.
     """
 
     def __init__(self, span_ns: int, capacity: int = CAPACITY) -> None:
@@ -170,7 +170,7 @@ class History:
         self._marks, self._stamps = self.marks.data, self.t_ns.data
 
     def reset(self, t_ns: int, x: Array, p: Array, m: Records) -> None:
-        """Forget everything and start from one state (20,), covariance (20, 20) and memory (1,)."""
+        """Drop all events and start from one state (20,), covariance (20, 20) and memory (1,)."""
         self.marks[:] = 0, 1, 0, 0
         self.t_ns[0], self.numbers[0], self.seqs[0] = t_ns, MARK, 0
         self._ring.data[0] = 0.0
@@ -178,19 +178,19 @@ class History:
 
     @property
     def first(self) -> int:
-        """Ring slot of the base, event 0."""
+        """Ring slot of event 0, the base."""
         first: int = self._marks[FIRST]
         return first
 
     @property
     def count(self) -> int:
-        """Number of events, the base among them."""
+        """Number of events, including the base."""
         count: int = self._marks[COUNT]
         return count
 
     @property
     def base_ns(self) -> int:
-        """Stamp of the oldest state that can be returned to."""
+        """Stamp of the base: the oldest state that the filter can rewind to."""
         base_ns: int = self._stamps[self._marks[FIRST]]
         return base_ns
 
@@ -200,6 +200,6 @@ class History:
         return (self.first + self.count - 1) % len(self.t_ns)
 
     def enter(self, staged: Batch, now_ns: int) -> int:
-        """Put a cycle's samples in; the first place to replay from, `count` when nothing is new."""
+        """Put a cycle's samples in; return the first place to replay from, `count` when nothing is new."""
         ring, new = plain(self._ring), plain(staged.samples)
         return int(enter(self.marks, ring, self.span_ns, now_ns, staged.count, new))

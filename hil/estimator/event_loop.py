@@ -1,6 +1,6 @@
-"""The event loop of the filter: predict to each sample's stamp, compare, condition, remember.
+"""Event loop of the filter: predict to each sample's stamp, compare, update, store.
 
-`run` is the only kernel that a control cycle calls: it goes through every event from the first new one on.
+`run` is the only kernel that a control cycle calls. It processes every event from the first new one on.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from hil.estimator.unscented import Points, advance_unscented, moments_unscented
 from hil.support.numba_jit import inner, kernel
 
 NONE_ACCEPTED = -1.0
-"""A gate that no row passes."""
+"""Gate value that no row passes."""
 
 
 @inner
 def advance(x: Array, p: Array, dt_s: float, par: Parameters, points: Points, nominal: Array) -> None:
-    """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place; `nominal` (2,)."""
+    """Predict a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place; `nominal` (2,)."""
     if dt_s <= 0.0:
         return
     if points is None or is_lost(p, dt_s):
@@ -53,15 +53,15 @@ def advance(x: Array, p: Array, dt_s: float, par: Parameters, points: Points, no
 
 @inner
 def moments(number: int, x: Array, p: Array, par: Parameters, points: Points, count: int) -> None:
-    """Rows that the state predicts, and their covariances; linear rows need no sigma points.
+    """Compute the predicted rows and their covariances; sigma points only for nonlinear sensors.
 
     Args:
-        number: of the sensor.
+        number: sensor number.
         x: (20,) state.
         p: (20, 20) covariance.
-        par: of all kernels; `observe` has filled `aux` of its `work`. There, `mean`, `cross` and `own` are
-            filled.
-        points: of the UKF.
+        par: parameters of all kernels. `observe` has filled `par.work.aux`; this function fills `mean`,
+            `cross` and `own` of `par.work`.
+        points: sigma points of the UKF; None for the EKF.
         count: number of rows.
     """
     if points is not None and BENT[number] and not is_lost(p, 0.0):
@@ -79,17 +79,17 @@ def moments(number: int, x: Array, p: Array, par: Parameters, points: Points, co
 def compare(
     number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters, points: Points
 ) -> None:
-    """Update with one sample at its own time; the state is already there.
+    """Update the state with one sample; the state has already been predicted to the sample's stamp.
 
     Args:
-        number: of the sensor.
-        t_ns: stamp since the start.
-        x: (20,) state, and
-        p: (20, 20) its covariance, and
-        m: memory; all three changed in place.
+        number: sensor number.
+        t_ns: stamp, ns since the start.
+        x: (20,) state; changed in place, as `p` and `m`.
+        p: (20, 20) its covariance.
+        m: memory.
         row: the sample.
-        par: of all kernels.
-        points: of the UKF.
+        par: parameters of all kernels.
+        points: sigma points of the UKF; None for the EKF.
     """
     w = par.work
     z, var, aux, nu, nis, before = w.z[:], w.var[:], w.aux[:], w.nu[:], w.nis[:], w.before[:]
@@ -144,17 +144,17 @@ def run(
     now_ns: int,
     now: States,
 ) -> None:
-    """Go through the events of a ring from `start` on, and predict the newest state to `now_ns`.
+    """Process the events of a ring from `start` on, then predict the newest state to `now_ns`.
 
     Args:
-        events: what is gone through.
-        states: after each event, in its place; filled from `start` on.
-        start: first event to go through, at least 1.
-        zero_ns: stamp that sensor memory counts from.
+        events: ring of events.
+        states: states after each event, at the same ring slots; filled from `start` on.
+        start: first event to process, at least 1.
+        zero_ns: stamp that the stamps in sensor memory are relative to.
         pars: (1,) parameters of all kernels.
-        points: of the UKF; None makes this the EKF, in machine code of its own.
-        now_ns: where this is later than the newest event, the state is predicted to it.
-        now: filled with the newest state, its memory an array (1,).
+        points: sigma points of the UKF; None for the EKF, which is compiled separately.
+        now_ns: time to predict to, where it is later than the newest event.
+        now: filled with the newest state; its memory is an array (1,).
     """
     (marks, t_ns, numbers, rows), (x, p, m), (now_x, now_p, now_m) = events, states, now
     first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]

@@ -1,10 +1,10 @@
-"""The same filter on filterpy: its predict and update steps, our models, its defects avoided.
+"""The same filter with filterpy's predict and update steps, around filterpy's known defects.
 
 filterpy's UKF keeps the sigma points of the prediction through several updates, averages with the plain
-weighted sum (W_0 = -1e6 cancels), neither symmetrises nor gates, and fails on a singular covariance. Here
-the points are drawn anew before every use, means are summed relative to the centre point, the square root
-accepts singular matrices, and rows are gated before the update.
-Slow: it is the reference that the compiled engine is held against, to 1e-9.
+weighted sum (W_0 = -1e6 cancels), neither symmetrises nor gates, and fails on a singular covariance. Here the
+points are drawn anew before every use, means are summed relative to the centre point, the square root accepts
+singular matrices, and rows are gated before the update. This engine is slow. It is the reference that the
+compiled engine is tested against, to 1e-9.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _symmetric(p: Array) -> Array:
 
 
 def upper_root(p: Array) -> Array:
-    """U (n, n) with U' U = P (n, n), as filterpy wants it; a singular P is accepted."""
+    """Upper root U (n, n) with U' U = P (n, n), the form filterpy needs; P may be singular."""
     root = np.zeros_like(p)
     square_root(p, root)
     return root
@@ -68,8 +68,8 @@ def centred_transform(
 ) -> tuple[Array, Array]:
     """Mean (n,) and covariance (n, n) of 2 n + 1 sigma points (2 n + 1, n), relative to the centre point.
 
-    With the plain sums W_0 = -1e6 cancels against the other weights; here it only weighs the square of
-    the mean's offset from the centre.
+    In a plain weighted sum W_0 = -1e6 cancels against the other weights. Here W_0 multiplies only the square
+    of the mean's offset from the centre.
     """
     away = points[1:] - points[0]
     offset = mean_weights[1:] @ away
@@ -80,7 +80,7 @@ def centred_transform(
 
 @dataclass
 class Rows:
-    """What one sample says: z and its variances (8,), the auxiliary figures, the number of rows."""
+    """Measured rows of one sample: z (8,), variances (8,), auxiliary figures (5,), number of rows."""
 
     z: Array
     var: Array
@@ -89,7 +89,7 @@ class Rows:
 
 
 def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> list[int]:
-    """Rows of nu (8,), covariance s (8, 8), that pass their gate given those before; fills nis (8,)."""
+    """Indices of the rows of nu (8,), covariance s (8, 8), that pass the gate in turn; fills nis (8,)."""
     used: list[int] = []
     for i in np.flatnonzero(usable).tolist():
         known = s[np.ix_(used, used)]
@@ -104,9 +104,9 @@ def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> lis
 def before(
     number: int, t_ns: float, m: Records, row: Records, par: Records, z: Array, var: Array, aux: Array
 ) -> tuple[int, int]:
-    """A sample of `event_loop.run` up to the comparison: what `admit` says, and how many rows to compare.
+    """First part of `event_loop.run` for a sample: the result of `admit`, and the number of rows to compare.
 
-    Memory, row and parameters come as arrays (1,), here and below: quicker to pass than single records.
+    Memory, row and parameters are arrays (1,), here and below: these pass faster than single records.
     """
     use = admit(number, t_ns, m[0], row[0], par[0])
     if use == DUPLICATE:
@@ -119,7 +119,7 @@ def before(
 def counted(
     number: int, m: Records, par: Records, nu: Array, nis: Array, var: Array, count: int, gate: float
 ) -> None:
-    """`Sensor.account`, of `nu`, `nis` and `var` (8,)."""
+    """Call `Sensor.account` with `nu`, `nis` and `var` (8,), and count the accepted rows."""
     m[0].accepted += account(number, m[0], nu, nis, var, count, gate, par[0].filter.samples)
 
 
@@ -127,7 +127,7 @@ def counted(
 def after(
     number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records
 ) -> None:
-    """A sample of `event_loop.run` behind the comparison, on the state (20,) and its covariance (20, 20)."""
+    """Last part of `event_loop.run` for a sample, on state (20,) and covariance (20, 20), in place."""
     if use == USED and let_in(number, par[0].filter.limit, t_ns, p, m[0], par[0]):
         use = NEW_FRAME
     if use == NEW_FRAME:
@@ -139,7 +139,7 @@ def after(
 
 @kernel
 def rows_at(number: int, points: Array, aux: Array, par: Records) -> Array:
-    """Rows (n, 8) that states (n, 20) predict."""
+    """Predicted rows (n, 8) at states (n, 20)."""
     out = np.zeros((points.shape[0], ROWS))
     for k in range(points.shape[0]):
         predicted(number, points[k], aux, par[0], out[k])
@@ -148,7 +148,7 @@ def rows_at(number: int, points: Array, aux: Array, par: Records) -> Array:
 
 @kernel
 def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
-    """Their derivative (8, 20) at a state (20,)."""
+    """Derivative (8, 20) of the predicted rows at a state (20,)."""
     h = np.zeros((ROWS, STATES))
     jacobian(number, x, aux, par[0], h)
     return h
@@ -156,20 +156,20 @@ def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
 
 @kernel
 def rolling(t_ns: float, x: Array, m: Records, par: Records, out: Array) -> None:
-    """`sensors.wheels.nominal`: fill `out` (2,) with the velocity, m/s, body frame; state (20,)."""
+    """Kernel of `sensors.wheels.nominal`: fill `out` (2,) with the velocity, m/s, body frame; state (20,)."""
     nominal(t_ns, x, m[0].wheels, par[0].wheels, out)
 
 
 @kernel
 def noise_at(x: Array, dt_s: float, par: Records) -> Array:
-    """Process noise (20, 20) of a step from a state (20,)."""
+    """Process noise (20, 20) of a step that starts at a state (20,)."""
     q = np.zeros((STATES, STATES))
     add_noise(x, q, dt_s, par[0].process)
     return q
 
 
 class FilterpyFilter(FilterBackend):
-    """Runs events through filterpy's EKF or UKF; both have the EKF, for headings that are lost."""
+    """Runs events through filterpy's EKF or UKF; the UKF uses the EKF while the heading is lost."""
 
     def __init__(self, par: Records, config: EstimatorConfig) -> None:
         by, process, n = par[0].filter, par[0].process, STATES
@@ -184,7 +184,7 @@ class FilterpyFilter(FilterBackend):
         self._step_s = 0.0
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
-        """Event by event, in Python."""
+        """Process the events of the history one by one in Python."""
         h, capacity = history, len(history.t_ns)
         for k in range(begin, h.count):
             i, j = (h.first + k) % capacity, (h.first + k - 1) % capacity
@@ -200,7 +200,7 @@ class FilterpyFilter(FilterBackend):
         self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
     def advance(self, x: Array, p: Array, dt_s: float) -> None:
-        """Filterpy's prediction of the state (20,) and its covariance (20, 20), in place."""
+        """Predict the state (20,) and its covariance (20, 20) by `dt_s` with filterpy, in place."""
         if dt_s <= 0.0:
             return
         unscented = self._draws_points(p, dt_s)
@@ -227,9 +227,10 @@ class FilterpyFilter(FilterBackend):
         move(self._by_slopes.x, self._step_s, self._slip_s, self._scaled, self._scale, self._nominal)
 
     def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
-        """As a sample of `event_loop.run`, with the comparison on filterpy.
+        """Process one sample as `event_loop.run` does, with filterpy for the update.
 
-        It has no update about another point than the mean: while the heading is unsure the kernel does it.
+        filterpy can linearise at the mean only. While the heading is unsure the compiled kernel does the
+        update.
         """
         r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX), 0)
         use, r.count = before(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
@@ -240,7 +241,7 @@ class FilterpyFilter(FilterBackend):
         after(number, use, t_ns, x, p, m, row, self._par)
 
     def _compare(self, number: int, x: Array, p: Array, m: Records, r: Rows) -> None:
-        """As `event_loop.compare`: gates first, then one stacked update with the rows that passed."""
+        """Update as `event_loop.compare`: gate the rows, then one stacked update with those that passed."""
         (mean, s), shown = self._innovation(number, x, p, r), np.zeros(ROWS)
         innovation(number, r.z, mean, r.var, r.count, shown)
         nu, nis, gate = shown[: r.count], np.full(ROWS, -1.0), self._gate_row
@@ -256,16 +257,16 @@ class FilterpyFilter(FilterBackend):
         counted(number, m, self._par, shown, nis, r.var, r.count, gate)
 
     def _seen(self, number: int, points: Array, r: Rows) -> Array:
-        """Rows (n, count) that states (n, 20) predict."""
+        """Predicted rows (n, count) at states (n, 20)."""
         seen = rows_at(number, np.ascontiguousarray(points), r.aux, self._par)
         return np.ascontiguousarray(seen[:, : r.count])
 
     def _derivative(self, number: int, x: Array, r: Rows) -> Array:
-        """Their derivative (count, 20)."""
+        """Derivative (count, 20) of the predicted rows at a state (20,)."""
         return slopes_at(number, x, r.aux, self._par)[: r.count]
 
     def _innovation(self, number: int, x: Array, p: Array, r: Rows) -> tuple[Array, Array]:
-        """Predicted rows (8,), zero beyond the count, and the covariance of the innovation."""
+        """Predicted rows (8,), zero beyond `count`, and the innovation covariance (count, count)."""
         noise, mean = np.diag(r.var[: r.count]), np.zeros(ROWS)
         if self._draws_points(p):
             f = self._by_points
@@ -278,7 +279,7 @@ class FilterpyFilter(FilterBackend):
         return mean, h @ p @ h.T + noise
 
     def _update(self, number: int, x: Array, p: Array, r: Rows, nu: Array, used: list[int]) -> None:
-        """Filterpy's update with the innovation already wrapped; sigma points drawn anew."""
+        """Update with filterpy, in place, from innovations already wrapped; draws new sigma points."""
         unscented, noise = self._draws_points(p), np.diag(r.var[used])
         f = self._by_points if unscented else self._by_slopes
         f.x, f.P = x.copy(), p.copy()

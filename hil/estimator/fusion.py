@@ -1,7 +1,7 @@
-"""`FusionEstimator`: takes a cycle's measurements, rewinds to the oldest new one, replays, reports.
+"""`FusionEstimator`: buffers a cycle's samples, rewinds to the oldest new one and replays the events.
 
-The filter itself is an `Engine`: `compiled` kernels or filterpy. Deterministic; the arrival order of
-samples does not change a bit of the state.
+A `FilterBackend` runs the events: the compiled kernels (`NumbaFilter`) or filterpy. The result is
+deterministic: the order in which samples arrive does not change a bit of the state.
 """
 
 from __future__ import annotations
@@ -72,14 +72,14 @@ _AGES = {sensor.NAME: f"age_{sensor.NAME}_s" for sensor in SENSORS}
 
 
 class Now:
-    """The newest state and sensor memory, at the time of the cycle.
+    """Newest state, covariance and sensor memory, at the time of the cycle.
 
     Attributes:
-        figures: memory, state and gates, as the diagnostics pick from it, and room for what they derive.
-        x, p: (20,) and (20, 20); x is a part of `figures`.
-        m: (1,), a part of `figures`.
-        states: the three of them.
-        pose, twist, covariance: (3,), (3,) and (6, 6), parts of x and p.
+        figures: one array of memory, state, gates and derived values, from which the diagnostics are picked.
+        x, p: state (20,) and covariance (20, 20); x is a view into `figures`.
+        m: (1,) sensor memory, a view into `figures`.
+        states: x, p and m together.
+        pose, twist, covariance: (3,), (3,) and (6, 6), views into x and p.
     """
 
     def __init__(self) -> None:
@@ -92,30 +92,30 @@ class Now:
 
 
 class FilterBackend(Protocol):
-    """How events are run through the filter."""
+    """Engine that runs events through the filter."""
 
     @abstractmethod
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
-        """Replay the events of a history from `begin` to its end; `now` is its last state at `now_ns`."""
+        """Replay the events of a history from `begin` on; predict the last state to `now_ns` into `now`."""
 
 
 @cache
 def load_filter(points: Points = None) -> None:
-    """Load the machine code of `run`; without one it is compiled.
+    """Load the compiled code of `run`, or compile it where none is cached.
 
     Args:
-        points: None for the EKF; which ones the UKF has does not matter.
+        points: None for the EKF; for the UKF only the type matters, not the values.
     """
     h, now, par = History(0, 1), Now(), np.zeros(1, PARAMETERS)
     compile_for(run, plain(h.events), plain(h.states), 0, 0, par, points, 0, plain(now.states))
 
 
 class NumbaFilter(FilterBackend):
-    """The kernels of `hil.estimator.event_loop`; making the first one loads or compiles them.
+    """Runs events through the kernels of `hil.estimator.event_loop`, compiled or loaded on first use.
 
     Args:
         par: see `hil.estimator.kernel_layout.parameters`.
-        points: of the UKF; None for the EKF.
+        points: sigma points of the UKF; None for the EKF.
     """
 
     def __init__(self, par: Records, points: Points) -> None:
@@ -123,18 +123,18 @@ class NumbaFilter(FilterBackend):
         self._par, self._points = par, points
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
-        """One call for the whole stretch."""
+        """Replay all events in one call of the compiled kernel."""
         events, states, newest = plain(history.events), plain(history.states), plain(now.states)
         run(events, states, begin, zero_ns, self._par, self._points, now_ns, newest)
 
 
 class FusionEstimator(Estimator):
-    """EKF or UKF over all sensors.
+    """EKF or UKF over all sensors, with a history to rewind to for late samples.
 
     Args:
         config, geometry, surface: see `hil.estimator.make_estimator`.
         engine: runs the events.
-        diagnostics: whether states carry them.
+        diagnostics: whether states contain diagnostics.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ class FusionEstimator(Estimator):
         self._ready = False
 
     def reset(self, state: RobotState) -> None:
-        """Start from a known state; its covariance is that of pose and twist.
+        """Start from a known state, whose covariance (6, 6) is that of pose and twist.
 
         Raises:
             UsageError: the state is not finite or its covariance is not a covariance.
@@ -170,7 +170,7 @@ class FusionEstimator(Estimator):
         self._ready = True
 
     def update(self, measurements: Measurements) -> RobotState:
-        """Take one cycle's measurements and return the state at its time."""
+        """Process one cycle's measurements and return the state at the cycle's time."""
         if not self._ready:
             covariance = np.diag([1e-6] * 3 + [_TWIST_SIGMA**2] * 3)
             start_ns = measurements.t_ns - self.history.span_ns
@@ -184,7 +184,7 @@ class FusionEstimator(Estimator):
         )
 
     def _diagnostics(self, t_ns: int) -> dict[str, float]:
-        """Figures by name, in this order: what the sensors said, what was refused, ages."""
+        """Diagnostics by name, in this order: filter figures, refused samples, sensor clocks, ages in s."""
         intake, variance_of = self._intake, self._now.p.item
         values: list[float] = self._now.figures.take(_PLACES).tolist()
         values[_AT_SAG] = -values[_AT_SLIP_UP]

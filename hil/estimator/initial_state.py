@@ -1,4 +1,4 @@
-"""From where an estimator starts: a state that was checked, and what a filter makes of it."""
+"""Start state of an estimator: checks, and the initial state and covariance of the filter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.estimator.state_vector import MOTION, POSE, STATES, TWIST, prior_varian
 
 
 def start_of(config: EstimatorConfig, surface: str, state: RobotState) -> tuple[Array, Array]:
-    """State (20,) and covariance (20, 20) of a filter that starts from a known state.
+    """Initial state (20,) and covariance (20, 20) of a filter that starts from a known state.
 
     Raises:
         UsageError: the state is not finite or its covariance is not a covariance.
@@ -28,7 +28,7 @@ def check_state(state: RobotState) -> None:
     """Refuse a start state that no filter can run from.
 
     Raises:
-        UsageError: naming what is wrong.
+        UsageError: the message names what is wrong.
     """
     pose, twist = np.asarray(state.pose_body_in_wall), np.asarray(state.twist_body)
     if pose.shape != (3,) or twist.shape != (3,) or not np.all(np.isfinite(np.r_[pose, twist])):

@@ -1,9 +1,9 @@
-"""Kalman update of a joint Gaussian, one scalar row after the other, each with its gate.
+"""Kalman update of a joint Gaussian, one scalar row after the other, each with its own gate.
 
-The rows' mean, covariance and cross covariance with the state come from a linearisation (EKF) or from
-sigma points (UKF) at the predicted state. Conditioning on the rows in turn gives the stacked update
-exactly and lets one bad row be left out by itself. The covariance stays symmetric to the bit, because
-only outer products of one vector with itself are subtracted.
+The rows' mean, covariance and cross covariance with the state come from a linearisation (EKF) or from sigma
+points (UKF) at the predicted state. Conditioning on one row after the other gives exactly the stacked update
+and allows a single bad row to be left out. The covariance stays symmetric to the bit, because only outer
+products of a vector with itself are subtracted.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hil.support.numba_jit import inner
 
 
 class Compared(NamedTuple):
-    """Rows of a sample beside the state.
+    """Innovations and covariances of a sample's rows, compared with the state.
 
     Attributes:
         nu: (8,) innovation, measured minus predicted.
@@ -39,12 +39,9 @@ class Compared(NamedTuple):
 
 @inner
 def joint_nis(rows: Compared, count: int) -> float:
-    """Normalised innovation squared of `count` rows together: the sum of each one's given those before it.
+    """Normalised innovation squared of `count` rows together, infinite where they have no covariance.
 
-    Each row's part is put in `nis`; nothing else changes.
-
-    Returns:
-        Their sum; infinite where the rows have no covariance.
+    The terms of the sum, each row given the rows before it, are written to `nis`; nothing else changes.
     """
     nu, s, var, nis = rows.nu[:count].copy(), rows.own[:count, :count].copy(), rows.var, rows.nis
     total = 0.0
@@ -70,7 +67,7 @@ def condition(x: Array, p: Array, rows: Compared, count: int, gate: float) -> in
     Args:
         x: (20,) state.
         p: (20, 20) covariance.
-        rows: innovation and covariances are used up; `nis` is set, to -1 where a row was left out.
+        rows: innovations and covariances are overwritten; `nis` is set, to -1 where a row was not usable.
         count: number of rows.
         gate: largest normalised innovation squared of one row.
 
@@ -92,7 +89,7 @@ def condition(x: Array, p: Array, rows: Compared, count: int, gate: float) -> in
         for j in range(n):
             x[j] += cross[i, j] * step
         for j in range(ROWS):
-            own[i, j] = np.divide(own[i, j], size)  # without a look whether size is zero: it is not
+            own[i, j] = np.divide(own[i, j], size)  # no check for zero: size is positive
         for k in range(i + 1, count):
             gain, scale = own[i, k], own[k, i]
             nu[k] -= gain * nu[i]
@@ -109,7 +106,7 @@ def condition(x: Array, p: Array, rows: Compared, count: int, gate: float) -> in
 
 @inner
 def guard(p: Array) -> int:
-    """Zero variances of p (n, n) that rounding made negative, with their correlations; count them."""
+    """Zero variances of p (n, n) that rounding made negative, and their covariances; return their count."""
     repaired = 0
     for i in range(STATES):
         if p[i, i] < 0.0:

@@ -1,6 +1,6 @@
-"""What the kernels of the filter are given: parameters, sensor memory and event rows, put together by sensor.
+"""Arguments of the filter kernels: parameters, sensor memory and event rows.
 
-Each is a numpy record: its own fields, and a part per sensor under the sensor's name.
+Each is a numpy record with its own fields and one part per sensor under the sensor's name.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ StateByRows = Annotated[Array, STATES, ROWS]
 
 
 class FilterParameters(Record):
-    """How rows become an update.
+    """Gates and limits of the update.
 
     Attributes:
         gate_row, gate_pose: largest normalised innovation squared of one row, and of a pose.
-        limit: rejections in a row after which a sensor is let in again.
+        limit: consecutive rejections after which a sensor is let in again.
         samples: length of the running mean of normalised innovations.
     """
 
@@ -41,16 +41,16 @@ class FilterParameters(Record):
 
 
 class Work(Record):
-    """Room for what a kernel works out on the way to its result: nothing in it outlives one event.
+    """Scratch memory of the kernels; its content is valid during one event only.
 
     Attributes:
-        z, var, aux: what `Sensor.observe` says of the sample.
-        mean, cross, own: rows that the state predicts, their covariance with the state, and their own.
-        h: `Sensor.jacobian`.
-        nu, shown, nis: innovations, the same as they were before the update, and normalised.
+        z, var, aux: results of `Sensor.observe`.
+        mean, cross, own: predicted rows, their covariance with the state, and their own covariance.
+        h: result of `Sensor.jacobian`.
+        nu, shown, nis: innovations, a copy from before the update, and normalised innovations squared.
         before: state before the update.
-        rolling: velocity by the wheels, m/s.
-        root, up, down, high, low, centre, offset, odd, even: of `hil.estimator.unscented`.
+        rolling: velocity measured by the wheels, m/s.
+        root, up, down, high, low, centre, offset, odd, even: used by `hil.estimator.unscented`.
     """
 
     z: Rows
@@ -77,7 +77,7 @@ class Work(Record):
 
 
 class Parameters(Record):
-    """Parameters of all kernels, and room for them to work in; a further part per sensor."""
+    """Parameters and scratch memory of all kernels; plus one part per sensor."""
 
     filter: FilterParameters
     process: ProcessParameters
@@ -85,12 +85,12 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """What travels with the state, so that a rewind rewinds it, too; a further part per sensor.
+    """Sensor memory, stored with the state so that a rewind restores it; plus one part per sensor.
 
     Attributes:
-        accepted: how many rows have changed the state.
-        duplicates: samples whose stamp was known.
-        guarded: variances that rounding had made negative, see `hil.estimator.kalman_update.guard`.
+        accepted: number of rows that have changed the state.
+        duplicates: number of samples refused because of a repeated stamp.
+        guarded: number of variances repaired by `hil.estimator.kalman_update.guard`.
     """
 
     accepted: float
@@ -99,16 +99,16 @@ class Memory(Record):
 
 
 class EventRow(Record):
-    """One sample: a part per sensor, of which all but that of the sample's own sensor are zero."""
+    """One sample: one part per sensor; all parts are zero but that of the sample's own sensor."""
 
 
 class Samples(NamedTuple):
-    """Samples, one in each place.
+    """Samples as arrays, one per place.
 
     Attributes:
-        t_ns: (n,) stamps, and their
-        numbers: (n,) of sensors,
-        seqs: (n,) sequence numbers and
+        t_ns: (n,) stamps.
+        numbers: (n,) sensor numbers.
+        seqs: (n,) sequence numbers.
         data: (n, floats of a row) event rows.
     """
 
@@ -119,12 +119,12 @@ class Samples(NamedTuple):
 
 
 class Events(NamedTuple):
-    """A ring of events; event k is in place (first + k) % capacity of every array.
+    """Ring of events; event k is at index (first + k) % capacity of every array.
 
     Attributes:
-        marks: first place and number of events, then entries that readers do not need.
+        marks: (4,) first index, number of events, then two counters that readers do not need.
         t_ns: (capacity,) stamps.
-        numbers: (capacity,) of sensors.
+        numbers: (capacity,) sensor numbers.
         rows: (capacity,) samples.
     """
 
@@ -135,12 +135,12 @@ class Events(NamedTuple):
 
 
 class States(NamedTuple):
-    """What the filter knows after events, one in each place; or at one time, without the first dimension.
+    """Filter states after events, one per place; or one single state, without the first dimension.
 
     Attributes:
-        x: (n, 20) states, and
-        p: (n, 20, 20) their covariances, and
-        m: (n,) memories.
+        x: (n, 20) states.
+        p: (n, 20, 20) covariances of the states.
+        m: (n,) sensor memories.
     """
 
     x: Array
@@ -157,9 +157,9 @@ ROW_FLOATS = ROW.itemsize // FLOAT_BYTES
 
 
 def parameters(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> Records:
-    """`Parameters` (1,) of the kernels: standard deviations are squared where a variance is needed.
+    """`Parameters` (1,) of the kernels, with standard deviations squared where a variance is needed.
 
-    An array, because numba takes it from Python twenty times as quickly as a single record.
+    An array of one record, because numba accepts it from Python twenty times as fast as a single record.
     """
     gates = config.gates
     values: dict[str, Any] = {
@@ -177,7 +177,7 @@ def parameters(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -
 
 
 def first_memory() -> Records:
-    """Memory (1,) of a filter that has seen nothing."""
+    """Initial memory (1,) of a filter that has processed no sample."""
     memory = np.zeros(1, MEMORY)
     for sensor in SENSORS:
         for path, value in sensor.START.items():

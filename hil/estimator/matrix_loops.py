@@ -1,15 +1,15 @@
-"""The four matrix operations that cost the most, and copies, as loops.
+"""The four most expensive matrix operations, and copies, as loops.
 
-`p` (20, 20) is a covariance, `root` (rows, 20) the first rows of the upper triangular U with U' U = P: row k
-is how far the state's numbers go in the k-th direction. `h` (8, 20) is a derivative of rows by the state,
-`odd` (20, 8) odd parts, `cross` (8, 20) the covariance of rows with the state, `own` (8, 8) that of the rows.
+`p` (20, 20) is a covariance. `root` (rows, 20) holds the first rows of the upper triangular U with U' U = P;
+row k is the standard deviation of the state along the k-th direction. `h` (8, 20) is a derivative of rows by
+the state, `odd` (20, 8) holds odd parts, `cross` (8, 20) is the covariance of rows with the state,
+`own` (8, 8) that of the rows.
 
-A library call or a temporary array costs more than the work on a 20x20 matrix. All go along rows in memory,
-so that the compiler takes several numbers at once; each sum is added up in the same order as one by one.
-Where one matrix is read and written (`hil.estimator.process_model`), `check_size` gives the compiler how far
-its
-rows lie apart; without that it would not dare. Copies are here because numba takes four seconds to compile
-the message of one that does not fit.
+A library call or a temporary array costs more than the work on a 20x20 matrix. All loops run along rows in
+memory, so that the compiler can vectorise them; each sum is added up in the same order as in scalar code.
+Where one matrix is read and written (`hil.estimator.process_model`), `check_size` tells the compiler the row
+stride; without it the loop is not vectorised. Copies are loops because numba takes four seconds to compile
+the error message of an array assignment whose shapes do not match.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ _ZERO_PIVOT = 1e-14
 
 @inner
 def check_size(p: Array) -> None:
-    """Refuse what is not (20, 20), so that the compiler knows: loops along the rows are thrice as quick.
+    """Refuse a matrix that is not (20, 20).
+
+    With the size known to the compiler, loops along the rows are three times as fast.
 
     Raises:
-        ValueError: another size.
+        ValueError: the matrix has another size.
     """
     if p.shape[0] != STATES or p.shape[1] != STATES:
         raise ValueError("a covariance of 20 states is needed")
@@ -38,14 +40,14 @@ def check_size(p: Array) -> None:
 
 @inner
 def put(to: Array, of: Array) -> None:
-    """`to[:] = of` of two vectors (n,)."""
+    """Copy a vector: `to[:] = of`, both (n,)."""
     for i in range(to.shape[0]):
         to[i] = of[i]
 
 
 @inner
 def put_rows(to: Array, of: Array) -> None:
-    """Fill a matrix (n, m) with the upper left part of another that is no smaller."""
+    """Fill a matrix (n, m) with the upper left part of another one at least as large."""
     for i in range(to.shape[0]):
         for j in range(to.shape[1]):
             to[i, j] = of[i, j]
@@ -53,9 +55,9 @@ def put_rows(to: Array, of: Array) -> None:
 
 @inner
 def downdate(p: Array, roots: Array, count: int) -> None:
-    """Subtract root root' from p (20, 20), in place, for the first `count` rows of roots (8, 20).
+    """Subtract the outer product r r' of each of the first `count` rows r of roots (8, 20) from p (20, 20).
 
-    Two rows at a time, one after the other: each number of p is read and written half as often.
+    In place, two rows per pass: each element of p is read and written half as often.
     """
     check_size(p)
     for k in range(0, count - 1, 2):
@@ -90,7 +92,7 @@ def square_root(p: Array, root: Array) -> None:
             root[k, j] = 0.0
         root[k, k] = size
         for j in range(k + 1, n):
-            root[k, j] = np.divide(root[k, j], size)  # without a look whether size is zero: it is not
+            root[k, j] = np.divide(root[k, j], size)  # no check for zero: size is positive
         for i in range(k + 1, rows):
             scale = root[k, i]
             for j in range(n):
@@ -124,7 +126,7 @@ def seen(p: Array, h: Array, count: int, cross: Array, own: Array) -> None:
 
 @inner
 def spread(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
-    """Fill cross (8, 20) = weight odd' U for `count` columns of odd (20, 8), by those rows of U in `root`."""
+    """Fill cross (8, 20) = weight odd' U for `count` columns of odd (20, 8) and the rows of U in `root`."""
     rows, n = root.shape
     for i in range(count):
         for j in range(n):

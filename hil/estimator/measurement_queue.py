@@ -1,6 +1,6 @@
-"""What may enter the filter: measurements of a cycle turned into event rows, bad ones refused by name.
+"""Intake of the filter: turns a cycle's measurements into event rows and counts refused samples by reason.
 
-Each sensor packs its own samples. Counts are by reason and part of the diagnostics: `rejected_not_finite`,
+Each sensor module packs its own samples. The counts are part of the diagnostics: `rejected_not_finite`,
 `rejected_late`, ...
 """
 
@@ -26,7 +26,7 @@ _LEAST_BLOCKS = 3
 
 
 class SensorClock:
-    """Follows one sensor's clock."""
+    """Estimates a sensor clock's offset and drift against the host's, by the least delay per 5 s block."""
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
@@ -39,7 +39,7 @@ class SensorClock:
         self._first_s = 0.0
 
     def add(self, t_ns: int, host_ns: int) -> None:
-        """Note one sample's stamp and receive time; samples of a block that is over are ignored."""
+        """Add one sample's stamp and receive time; samples of an already closed block are ignored."""
         if self._start_ns is None:
             self._start_ns, self._least_ns = host_ns, host_ns - t_ns
             return
@@ -66,7 +66,7 @@ class SensorClock:
         self.offset_s = float(delay.mean() - self.drift * centre)
 
     def correction_ns(self, t_ns: int) -> int:
-        """What to add to a stamp so that it follows the host's clock as it did at the start."""
+        """Correction to add to a stamp, so that it follows the host's clock as at the start; ns."""
         if self._start_ns is None or len(self._ends_s) < _LEAST_BLOCKS:
             return 0
         since_s = (t_ns - self._start_ns) / NS_PER_S
@@ -79,12 +79,12 @@ _ROW_BYTES = FLOAT_BYTES * ROW_FLOATS
 
 
 class Batch:
-    """Room for the usable samples of one cycle, in the order in which they came.
+    """Buffer for the usable samples of one cycle, in order of arrival.
 
     Attributes:
-        count: how many there are.
-        samples: the room.
-        memory: of its four arrays, to write into: a number takes a fifth of the time that it takes numpy.
+        count: number of samples in the buffer.
+        samples: the arrays.
+        memory: memory views of the four arrays; writing a number takes a fifth of numpy's time.
     """
 
     def __init__(self, room: int) -> None:
@@ -94,7 +94,7 @@ class Batch:
         self.memory = tuple(array.data for array in self.samples)
 
     def doubled(self) -> Batch:
-        """Twice the room, with what is in this one."""
+        """A buffer twice as large with the same content."""
         other = Batch(2 * len(self.samples.t_ns))
         for to, of in zip(other.samples, self.samples, strict=True):
             to[: len(of)] = of
@@ -102,7 +102,7 @@ class Batch:
 
 
 class MeasurementQueue:
-    """Checks samples and puts them into rows; stamps pass the sensor clocks."""
+    """Checks samples, corrects their stamps and packs them into event rows."""
 
     def __init__(self, config: EstimatorConfig) -> None:
         self._future_ns = nanoseconds(config.time.future_s)
@@ -116,13 +116,13 @@ class MeasurementQueue:
         self.reset()
 
     def reset(self) -> None:
-        """Forget counts, which are numbers as figures are, and clocks."""
+        """Reset the counts of refused samples (floats, as all diagnostics) and the sensor clocks."""
         self.refused = dict.fromkeys(REASONS, 0.0)
         self.clocks: Mapping[str, SensorClock] = {sensor.NAME: SensorClock() for sensor in SENSORS}
         self.last_ns: dict[str, int] = {}
 
     def stage(self, measurements: Measurements, oldest_ns: int) -> Batch:
-        """Usable samples of a cycle; good until the next call."""
+        """Usable samples of a cycle; valid until the next call."""
         staged, count = self._staged, 0
         stamps, numbers, seqs, rows = staged.memory
         newest_ns, last_ns = measurements.t_ns + self._future_ns, self.last_ns
@@ -151,14 +151,14 @@ class MeasurementQueue:
         return staged
 
     def _corrected_ns(self, name: str, stamp: Stamp) -> int:
-        """A stamp as the host's clock would have it; the sensor's clock is followed by it."""
+        """Stamp corrected to the host's clock, ns; also updates the clock estimate of the sensor."""
         clock = self.clocks[name]
         clock.add(stamp.t_ns, stamp.host_ns)
         return stamp.t_ns + clock.correction_ns(stamp.t_ns)
 
 
 def _filling(sensor: Sensor) -> Callable[..., None]:
-    """What writes a sensor's floats into memory as a whole event row, which is zero elsewhere."""
+    """Function that writes a sensor's floats into memory as a whole event row, zero elsewhere."""
     part = part_of(ROW, sensor.NAME)
     before, behind = FLOAT_BYTES * part.start, FLOAT_BYTES * (ROW_FLOATS - part.stop)
     return struct.Struct(f"{before}x{part.stop - part.start}d{behind}x").pack_into

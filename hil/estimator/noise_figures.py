@@ -1,4 +1,4 @@
-"""The figures of the sensors' noise by name: whose they are, their units, and their keys of `[estimator]`."""
+"""Table of the sensors' noise figures: name, device, units, and the key in `[estimator]`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from hil.estimator.sensor_noise import SensorNoise, Spreads
 
 @dataclass(frozen=True)
 class NoiseFigure:
-    """One standard deviation.
+    """One standard deviation of the noise record.
 
     Attributes:
-        name: of the field of `SensorNoise` that holds its variance.
-        device: whose noise it is; without it there is none.
-        unit: for people; `per_si` of it are one in SI units.
-        si: the unit in the record.
-        meaning: in words.
-        key: of `[estimator]` that it is the value of.
-        state: `rest` or `moving`: in that state alone; empty for all that was found.
+        name: field of `SensorNoise` that holds the variance.
+        device: device that the noise belongs to; without this device the figure is absent.
+        unit: display unit; `per_si` of it make one SI unit.
+        si: unit in the record.
+        meaning: description in words.
+        key: key of `[estimator]` that takes the value.
+        state: `rest` or `moving` for that state alone; empty for both together.
     """
 
     name: str
@@ -34,11 +34,11 @@ class NoiseFigure:
 
     @property
     def label(self) -> str:
-        """Of the measurement and of the figure in the record."""
+        """Name of the measurement and of the figure in the record."""
         return f"{self.name}_{self.state}" if self.state else self.name
 
     def of(self, found: SensorNoise) -> Spread:
-        """Its variance in what was found."""
+        """Variance of this figure in the noise that was found."""
         spread = getattr(found, self.name)
         if not isinstance(spread, Spreads):
             return spread  # type: ignore[no-any-return]
@@ -104,11 +104,11 @@ NOISE_FIGURES: tuple[NoiseFigure, ...] = (
         "process.angular_acceleration_rad_s2_sqrt_hz",
     ),
 )
-"""One for each value of `[estimator]`."""
+"""One figure for each measured key of `[estimator]`."""
 
 MEASURED: tuple[NoiseFigure, ...] = tuple(
     part
     for one in NOISE_FIGURES
     for part in (_by_state(one) if isinstance(getattr(SensorNoise(), one.name), Spreads) else (one,))
 )
-"""All that is measured, at rest and in motion where that differs."""
+"""All measured figures; those that depend on it once at rest and once in motion."""

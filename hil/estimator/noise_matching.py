@@ -1,8 +1,8 @@
-"""Whether a filter with measured noise is as sure as it may be on driven runs, and the wheels' share in that.
+"""Matches the process noise and the wheel noise of a filter to driven runs, by the sensors' NIS.
 
-What single sensors do wrong is measured (`hil.estimator.sensor_noise`), and so is how the motion changes.
-What a wheel model makes of the noise of its encoders is not: it is scaled so that the usual NIS of the wheels
-is 1.
+The noise of single sensors is measured (`hil.estimator.sensor_noise`), and so are the changes of the motion.
+What a wheel model makes of the noise of its encoders is not measured: it is scaled so that the typical NIS of
+the wheels is 1.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ SENSORS = ("wheels", "gyro", "tracker", "mocap")
 _CHUNK_NS = NS_PER_S // 4
 _SETTLED_NS = NS_PER_S
 _WINDOW = 20
-"""Samples of the running means that are looked at: of about a chunk."""
+"""Samples in the running means of the NIS: about one chunk."""
 _SCALED = ("wheels.step_m", "wheels.per_sqrt_m")
 _LARGEST = 3.0
-"""Factor by which the wheels' noise may be another than its encoders'."""
+"""Largest factor between the wheels' noise and that of the encoders."""
 _ROUNDS = 4
 _NEAR = 0.03
 _TWIST = "process.angular_acceleration_rad_s2_sqrt_hz"
 _HIDDEN, _FREER, _FREEST = 0.85, 2.0, 6
-"""NIS of the gyro down to which its noise hides how the body twists, and the steps that are tried."""
+"""Lowest accepted NIS of the gyro; factor per step of the angular acceleration; largest number of steps."""
 
 
 @dataclass(frozen=True)
 class DrivenRun:
-    """A run that began at a known state."""
+    """A run with a known start state."""
 
     measurements: tuple[Measurements, ...]
     start: RobotState
@@ -49,7 +49,7 @@ class DrivenRun:
 
 @dataclass(frozen=True)
 class Matched:
-    """Values by dotted name of `[estimator]`, and the usual NIS per row by sensor with them."""
+    """Matched values by dotted name of `[estimator]`, and the resulting typical NIS per row by sensor."""
 
     values: Mapping[str, float]
     nis: Mapping[str, float]
@@ -58,11 +58,11 @@ class Matched:
 def usual_nis(
     config: EstimatorConfig, runs: Sequence[DrivenRun], geometry: WheelGeometry, surface: str
 ) -> dict[str, float]:
-    """Usual NIS per row of each sensor that was heard, 1 where the filter is as sure as it may be.
+    """Typical NIS per row of each sensor with samples; 1 where the filter's covariances are right.
 
-    The median over means of twenty samples: a start, a stop or a wheel that is steered shakes the robot for a
-    moment, and does not decide. The first second of a run, in which the filter finds its biases, does not
-    count.
+    The median over means of twenty samples: a start, a stop or a steering motion disturbs the robot for a
+    moment only and must not decide. The first second of a run, in which the filter finds its biases, is left
+    out.
     """
     found: dict[str, list[float]] = {}
     config = config.model_copy(update={"time": config.time.model_copy(update={"nis_samples": _WINDOW})})
@@ -79,7 +79,7 @@ def usual_nis(
 
 
 def _chunks(cycles: Sequence[Measurements]) -> Iterator[Measurements]:
-    """Cycles put together: the same samples in fewer calls."""
+    """Merge cycles into chunks of 0.25 s: the same samples in fewer calls."""
     part: list[Measurements] = []
     for m in cycles:
         part.append(m)
@@ -102,15 +102,15 @@ def match(
     surface: str,
     report: Report = silent,
 ) -> Matched:
-    """Free the twist as far as the gyro's noise hides it, then scale the wheels' noise until their NIS is 1.
+    """Raise the angular acceleration noise as far as the gyro's NIS allows; then scale the wheels to NIS 1.
 
-    A filter that expects fewer twists than there are refuses the gyro at a start; one that expects more hears
-    it less.
+    A filter with too small an angular acceleration rejects the gyro at a start; with too large a value it
+    gives the gyro less weight than it could.
 
     Args:
-        config: with the measured noise of the sensors and of the motion.
-        runs: driven.
-        geometry: of the wheels.
+        config: configuration with the measured noise of the sensors and of the motion.
+        runs: driven runs.
+        geometry: calibrated wheel parameters.
         surface: `wall` or `floor`.
         report: called with (what, done, total).
     """
@@ -130,7 +130,7 @@ Fit = Callable[[EstimatorConfig], dict[str, float]]
 
 
 def _freest(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[[int], object]) -> Matched:
-    """With the largest angular acceleration at which the gyro's NIS stays above `_HIDDEN`."""
+    """Find the largest angular acceleration noise at which the gyro's NIS stays above `_HIDDEN`."""
     own = value_of(config, _TWIST)
     for step in range(1, _FREEST + 1):
         passed(step)
@@ -143,7 +143,7 @@ def _freest(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[
 
 
 def _scaled(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[[int], object]) -> Matched:
-    """With wheels whose usual NIS is 1, or as near to it as a factor of three brings it."""
+    """Scale the wheels' noise, by a factor of three at most, until their typical NIS is 1."""
     own = {name: value_of(config, name) for name in _SCALED}
     scale, best = 1.0, found.nis
     for done in range(_ROUNDS):

@@ -1,11 +1,11 @@
-"""How a correction reaches a pose of the state: along the circle that a turned start would have drawn.
+"""Applies a correction to a pose of the state along a circular arc, as in an invariant Kalman filter.
 
-A heading that was wrong by an angle has turned all that was driven since about where it began. So what a
-sample corrects is applied by the exponential of SE(2), not number by number, and the covariance of position
-and heading, whose lever is the way driven, goes with the pose to where the correction puts it. This is the
-invariant extended Kalman filter (Barrau and Bonnabel, 2017) in the coordinates of an ordinary one: for small
-corrections both are the same to second order, so that it needs no switch. Where the heading is known to
-`UNSURE_RAD` only, `settle` looks for the point to linearise at before anything is gated.
+An error of the heading has rotated all of the path driven since it arose. So a correction is applied by the
+exponential of SE(2), not component by component. The covariance of position and heading, whose lever is the
+distance driven, is moved to the corrected pose. This is the invariant extended Kalman filter (Barrau and
+Bonnabel, 2017) in the coordinates of an ordinary one. For small corrections both agree to second order, so no
+switch between them is needed. Where the heading is known only to `UNSURE_RAD`, `settle` finds the point to
+linearise at before any row is gated.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from hil.estimator.state_vector import CLONE_X, OMEGA, ROWS, STATES, THETA, X
 from hil.support.numba_jit import inner
 
 POSES = (X, CLONE_X)
-"""Where the poses in the wall frame begin."""
+"""First index of each pose in the wall frame."""
 UNSURE_RAD = 0.05
 LOST_RAD = 0.07
-"""Up to it a UKF by points is consistent: NEES 2.8 after a metre and positions, with 0.08 rad 6.8."""
+"""Up to this a UKF with sigma points is consistent: NEES 2.8 after 1 m with positions; at 0.08 rad 6.8."""
 _TURNS = 8
 
 
 @inner
 def is_unsure(number: int, p: Array) -> bool:
-    """Whether a pose meets a heading, covariance p (20, 20), too unsure for one linearisation."""
+    """Whether the sensor measures a pose while the heading, p (20, 20), is too unsure to linearise once."""
     return GATED_TOGETHER[number] and p[THETA, THETA] > UNSURE_RAD * UNSURE_RAD
 
 
 @inner
 def is_lost(p: Array, dt_s: float) -> bool:
-    """Whether a heading, covariance p (20, 20), is known to `LOST_RAD` or worse, or will be after `dt_s`.
+    """Whether the heading's standard deviation, p (20, 20), is `LOST_RAD` or more now or after `dt_s`.
 
-    Then the UKF goes as the EKF does. Sigma points give the mean over all headings: the robot goes less far
-    by sigma^2 / 2, and beyond 1.4 rad backwards; the true mean cosine, exp(-sigma^2 / 2), is never negative.
+    The UKF then predicts and updates as the EKF does. Sigma points average over all headings: the robot would
+    travel less far by sigma^2 / 2, and beyond 1.4 rad backwards. The true mean cosine, exp(-sigma^2 / 2), is
+    never negative.
     """
     turned = dt_s * (2.0 * p[THETA, OMEGA] + dt_s * p[OMEGA, OMEGA])
     return bool(p[THETA, THETA] + turned >= LOST_RAD * LOST_RAD)
@@ -50,7 +51,7 @@ def is_lost(p: Array, dt_s: float) -> bool:
 
 @inner
 def lean(before: Array, point: Array, v: Array, way: float) -> None:
-    """Correction (20,) at `before` as one at `point` (way 1), or back (way -1), in place."""
+    """Transform a correction v (20,) from `before` to `point` (way 1) or back (way -1), in place."""
     for place in POSES:
         v[place] -= way * (point[place + 1] - before[place + 1]) * v[place + 2]
         v[place + 1] += way * (point[place] - before[place]) * v[place + 2]
@@ -58,7 +59,7 @@ def lean(before: Array, point: Array, v: Array, way: float) -> None:
 
 @inner
 def follow(before: Array, x: Array) -> None:
-    """Turn `before` (20,) with a correction added into one corrected along the circle, x (20,), in place."""
+    """Replace the correction added to `before` (20,), giving x (20,), by one along the arc; x in place."""
     for place in POSES:
         turn = x[place + 2] - before[place + 2]
         east, north = x[place] - before[place], x[place + 1] - before[place + 1]
@@ -70,7 +71,7 @@ def follow(before: Array, x: Array) -> None:
 
 @inner
 def carry(before: Array, x: Array, p: Array) -> None:
-    """Covariance (20, 20) at `before` as one at x: errors of a heading have another lever there; in place."""
+    """Move the covariance (20, 20) from `before` to x, in place; heading errors have another lever there."""
     check_size(p)
     for place in POSES:
         east, north = x[place] - before[place], x[place + 1] - before[place + 1]
@@ -89,7 +90,7 @@ def carry(before: Array, x: Array, p: Array) -> None:
 
 @inner
 def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
-    """Carry what later samples say, late (20,), spread (20, 20), back through `carry`, as `pull_update`."""
+    """Carry the later samples' late (20,), spread (20, 20) back through `carry`; see `pull_update`."""
     for place in POSES:
         east, north = x[place] - before[place], x[place + 1] - before[place + 1]
         late[place + 2] += east * late[place + 1] - north * late[place]
@@ -101,18 +102,18 @@ def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
 
 @inner
 def settle(number: int, x: Array, p: Array, count: int, par: Parameters, point: Array, spread: Array) -> None:
-    """The point that a sample's rows draw the state to, by Gauss and Newton, and the rows linearised there.
+    """Find the point to linearise at, by Gauss-Newton iterations, and linearise the sample's rows there.
 
     Args:
-        number: of the sensor.
+        number: sensor number.
         x: (20,) state.
         p: (20, 20) its covariance.
         count: number of rows.
-        par: of all kernels; `observe` has filled `z`, `var` and `aux` of its `work`. There, `nu` is filled
-            with the innovations less what the way from x to the point explains; `cross`, `own` and `h` with
-            covariances and derivative of the rows at the point.
-        point: (20,) filled, and
-        spread: (20, 20) with the covariance `p` at it.
+        par: parameters of all kernels. `observe` has filled `z`, `var` and `aux` of `par.work`. This fills
+            `nu` with the innovations less what the step from x to the point explains, and `cross`, `own` and
+            `h` with covariances and derivative of the rows at the point.
+        point: (20,) filled with the point.
+        spread: (20, 20) filled with the covariance `p` moved to the point.
     """
     w = par.work
     z, var, aux, nu = w.z[:], w.var[:], w.aux[:], w.nu[:]

@@ -1,6 +1,6 @@
-"""Process model: constant body twist on SE(2) with random accelerations, and slowly changing nuisances.
+"""Process model: constant body twist on SE(2) with random accelerations, and slowly changing nuisance states.
 
-`hil.estimator.constant_twist` has where the twist takes the state; here is what becomes of the covariance.
+`hil.estimator.constant_twist` moves the state; this module predicts the covariance.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from hil.support.numba_jit import inner
 
 FADING = (THETA, SIGHT_THETA, SLIP_X, SLIP_Y)
 MOVING = (X, Y, THETA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SLIP_X, SLIP_Y)
-"""Rows of the covariance that a prediction changes: by what moves linearly, and in all."""
+"""Rows of the covariance that a prediction changes: FADING by the linear part alone, MOVING in all."""
 
 
 class ProcessParameters(Record):
-    """Noise of the process: variance per second, per rolled metre, or (slip) in the long run.
+    """Process noise: variance per second, per rolled metre, or (slip velocity) in steady state.
 
     Attributes:
         acceleration, angular_acceleration: power densities, m^2/s^3 and rad^2/s^3.
         slip_x, slip_y: stationary variance of the slip velocity, m^2/s^2; `slip_s` is its time constant.
-        creep_x, creep_y: of the slip per rolled metre, 1/m.
-        yaw_slip: of the turn per rolled metre, rad^2/m^3.
-        bias: of the gyro bias, rad^2/s^3.
+        creep_x, creep_y: random walk of the slip per rolled metre, 1/m.
+        yaw_slip: random walk of the turn per rolled metre, rad^2/m^3.
+        bias: random walk of the gyro bias, rad^2/s^3.
         sight_per_m, sight_per_s, sight_turn: drift of the camera, m^2/m, m^2/s and rad^2/s.
-        scaled: 1 where the state's scale error is that of the camera, else 0.
+        scaled: 1 where the scale state belongs to the camera, else 0.
     """
 
     acceleration: float
@@ -67,7 +67,7 @@ class ProcessParameters(Record):
 
 
 def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
-    """Values of `ProcessParameters`."""
+    """Values of `ProcessParameters` from the configuration; `surface` is `wall` or `floor`."""
     slip, camera, noise = config.slip(surface), config.tracker, config.process
     drifts = camera.use == "relative"
     walk_x, walk_y = (
@@ -93,7 +93,7 @@ def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
 
 @inner
 def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
-    """Noise of the twist in both poses: what moves them is one and the same."""
+    """Add the noise of the twist to both poses, with their correlation: one twist moves both."""
     q, turn = par.acceleration, par.angular_acceleration
     half, third = 0.5 * dt_s * dt_s, dt_s * dt_s * dt_s / 3.0
     size = 1.0 + par.scaled * x[SCALE]
@@ -121,7 +121,10 @@ def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None
 
 @inner
 def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
-    """Add the process noise of a step that began at state x (20,) to p (20, 20), exact in its length."""
+    """Add the process noise of a step of `dt_s` from state x (20,) to p (20, 20).
+
+    The result is exact in the length of the step.
+    """
     rolled = math.sqrt(x[V_X] * x[V_X] + x[V_Y] * x[V_Y]) * dt_s
     _add_motion(x, p, dt_s, par)
     p[BIAS, BIAS] += par.bias * dt_s
@@ -139,7 +142,7 @@ def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
 
 @inner
 def mirror(p: Array, rows: tuple[int, ...]) -> None:
-    """Make p (20, 20) symmetric by some of its rows, in rising order; of two the upper one counts."""
+    """Make p (20, 20) symmetric in the given rows, in rising order; the upper triangle counts."""
     check_size(p)
     for i in rows:
         for j in rows:
@@ -152,7 +155,7 @@ def mirror(p: Array, rows: tuple[int, ...]) -> None:
 
 @inner
 def fade_covariance(p: Array, dt_s: float, decay: float) -> None:
-    """F P F' of what `fade` does, p (20, 20) in place: rows that change, then columns, of these rows only."""
+    """Apply F P F' for `fade` to p (20, 20) in place: first the changing rows, then their columns."""
     check_size(p)
     for j in range(STATES):
         p[THETA, j] += dt_s * p[OMEGA, j]
@@ -169,7 +172,7 @@ def fade_covariance(p: Array, dt_s: float, decay: float) -> None:
 
 @inner
 def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nominal: Array) -> None:
-    """Extended Kalman prediction of x (20,), p (20, 20), in place: F P F' by rows and columns that change."""
+    """EKF prediction of x (20,), p (20, 20), in place; only changing rows and columns are computed."""
     check_size(p)
     a, b, c, d, (e, f) = slopes(x, dt_s, par.scaled, nominal)
     wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, par.scaled, x[SCALE], nominal)

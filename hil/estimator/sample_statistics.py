@@ -1,8 +1,8 @@
-"""Noise of a series of samples with its interval: white noise within blocks, drift from block to block.
+"""Noise of a series of samples with confidence intervals: white noise within blocks, drift between blocks.
 
-White noise is what is left of a block about a straight line, so that motion, delay and drift do not count.
-A drift is what the means of neighbouring blocks differ by beyond their white noise. Nothing here knows a
-robot or a device.
+White noise is the residual of a block about a straight line, so that motion, delay and drift do not count.
+Drift is the difference between the means of neighbouring blocks beyond their white noise. Nothing here
+depends on a robot or a device.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _LINE = 2
 _MEDIAN_SQUARE = 0.4549
 """Median of the square of a standard normal variable."""
 _MEDIAN_SHARE = 0.37
-"""What a median of squares is worth of as many squares."""
+"""Efficiency of a median of squares: its degrees of freedom per square."""
 _THIRD = 20.0
 """Variance of the third difference of white noise of variance 1."""
 _THIRD_FREEDOM = 400.0 / 924.0
@@ -30,11 +30,11 @@ _THIRD_FREEDOM = 400.0 / 924.0
 
 @dataclass(frozen=True)
 class Spread:
-    """A variance as a sum of squares.
+    """A variance estimate as a sum of squares and its degrees of freedom.
 
     Attributes:
-        squares: sum of squares, in the unit of the series, squared.
-        freedom: degrees of freedom in it.
+        squares: sum of squares, in the squared unit of the series.
+        freedom: degrees of freedom of the sum.
     """
 
     squares: float = 0.0
@@ -49,9 +49,9 @@ class Spread:
         return self.squares / self.freedom if self.freedom > 0.0 else math.nan
 
     def less(self, variance: float) -> Spread:
-        """Without a known variance, as when another sensor's noise is in it; never below 0.
+        """Subtract a known variance, for example the noise of another sensor; never below 0.
 
-        What is left is known the worse the smaller a share of the whole it is.
+        The smaller the share that remains, the fewer degrees of freedom it has.
         """
         if self.squares <= 0.0:
             return self
@@ -60,7 +60,7 @@ class Spread:
         return Spread(left * self.variance * freedom, freedom)
 
     def per(self, weight: float) -> Spread:
-        """In another unit: the variance divided by `weight`."""
+        """Convert to another unit: divide the variance by `weight`."""
         return Spread(self.squares / weight, self.freedom)
 
     def sigma(self) -> tuple[float, float, float]:
@@ -72,14 +72,14 @@ class Spread:
 
 
 def total(parts: Iterable[Spread]) -> Spread:
-    """All of them together."""
+    """Sum of several variance estimates."""
     return sum(parts, Spread())
 
 
 def blocks(t_s: Array, span_s: float) -> Iterator[slice]:
-    """Stretches of `span_s` of a rising series of times (n,); those with a hole are left out.
+    """Split a rising series of times (n,) into blocks of `span_s`; blocks with gaps are left out.
 
-    A block has at least 60 % of the samples that most have, and no less than three.
+    A block needs at least 60 % of the median number of samples, and at least three.
     """
     if len(t_s) < 3:
         return
@@ -93,7 +93,7 @@ def blocks(t_s: Array, span_s: float) -> Iterator[slice]:
 
 
 def about_a_line(t_s: Array, values: Array) -> Spread:
-    """What is left of a series (n,) about its straight line."""
+    """Residual of a series (n,) about its least-squares straight line."""
     if len(t_s) <= _LINE:
         return Spread()
     time, value = t_s - t_s.mean(), values - values.mean()
@@ -103,7 +103,7 @@ def about_a_line(t_s: Array, values: Array) -> Spread:
 
 
 def by_third_differences(t_s: Array, values: Array) -> Spread:
-    """White noise of an even series (n,) that moves smoothly; samples beside a hole do not count."""
+    """White noise of a smooth, evenly sampled series (n,), by third differences; gaps are left out."""
     if len(t_s) < 5:
         return Spread()
     third, step = np.diff(values, 3), np.diff(t_s)
@@ -115,12 +115,12 @@ def by_third_differences(t_s: Array, values: Array) -> Spread:
 
 @dataclass(frozen=True)
 class Change:
-    """From the mean of one block to that of the next.
+    """Change from the mean of one block to the mean of the next.
 
     Attributes:
         by: difference of the means.
-        white: variance of it that is white noise.
-        over: how far, m or s, lies between their middles.
+        white: variance of `by` that is due to white noise.
+        over: distance between the middles of the blocks, m or s.
     """
 
     by: float
@@ -131,9 +131,9 @@ class Change:
 def random_walk(changes: Sequence[Change]) -> Spread:
     """Power density of a random walk: variance per unit of `over`.
 
-    The means of two blocks of a walk that grows evenly differ by 2/3 of what it grows by from middle to
-    middle. Neighbouring differences share a block: two thirds of them count as independent. What cannot be
-    distinguished from the white noise counts as walk.
+    The variance between the means of two adjacent blocks of a random walk is 2/3 of its growth from middle to
+    middle. Neighbouring differences share a block: two thirds of them count as independent. A part that
+    cannot be distinguished from the white noise counts as walk.
     """
     if not changes:
         return Spread()
@@ -149,13 +149,13 @@ def random_walk(changes: Sequence[Change]) -> Spread:
 
 
 def hardest(changes: Sequence[Change], share: float) -> Spread:
-    """As `random_walk`, of the share of the changes that are largest."""
+    """Like `random_walk`, from only the given share of the changes that are largest."""
     least = sorted((abs(c.by) for c in changes), reverse=True)[: max(int(share * len(changes)), 1)]
     return random_walk([c for c in changes if abs(c.by) >= least[-1]]) if least else Spread()
 
 
 def usual(changes: Sequence[Change]) -> Spread:
-    """As `random_walk`, by the median: what happens now and then does not count."""
+    """Like `random_walk`, from the median of the squares: rare large changes do not count."""
     if not changes:
         return Spread()
     square = float(np.median([c.by**2 for c in changes])) / _MEDIAN_SQUARE

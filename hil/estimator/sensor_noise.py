@@ -1,9 +1,9 @@
-"""What the sensors of a robot do wrong, from runs in which it rests and drives: noise and drift of each.
+"""Measures noise and drift of each sensor from runs in which the robot rests and drives.
 
-Motion capture is the truth that camera and gyro are held to; its own noise is what it wanders at rest, and
-by what it is not smooth in motion. Four wheels measure three numbers: their noise is by what they contradict
-each other. Where a figure has to be distinguished from another sensor's noise that is taken off. All from
-measurements; nothing from a configuration.
+Motion capture is the reference for camera and gyro. Its own noise is its scatter about a smooth curve, at
+rest and in motion. Four wheels measure three quantities: their noise is the contradiction between them. Where
+a figure contains another sensor's noise, that noise is subtracted. Only measurements enter, nothing from a
+configuration.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hil.estimator.sample_statistics import (
 from hil.robot.kinematics import WheelGeometry
 
 REST_M_S, MOVING_M_S = 1e-3, 5e-3
-"""Slower than this the robot rests, faster it drives; between them it starts or stops."""
+"""The robot rests below the first speed and drives above the second; between them it starts or stops."""
 _HOLE_S = 0.05
 _BEST_QUALITY = 3
 _WHITE_S, _GYRO_S, _DRIFT_S = 0.2, 0.8, 0.5
@@ -37,15 +37,15 @@ _WAY_M = 0.05
 _ENDS = 5
 _MOTION_S = 0.2
 _HARDEST = 0.1
-"""Share of a drive in which speed changes most: starts and stops, where wheels are not to be refused."""
+"""Share of a drive with the largest changes of speed: starts and stops, where wheels must not be rejected."""
 _ROWS_FREE = 5.0
-"""Degrees of freedom of eight equations of the wheels for three numbers."""
+"""Degrees of freedom of eight wheel equations for three unknowns."""
 Runs = Sequence[Sequence[Measurements]]
 Step = tuple[Array, Array, float, float, bool | None]
 
 
 class RunSamples:
-    """Samples of one run as arrays, times in s since its first cycle."""
+    """Samples of one run as arrays; times in s since the run's first cycle."""
 
     def __init__(self, cycles: Sequence[Measurements], geometry: WheelGeometry) -> None:
         self._zero_ns = cycles[0].t_ns if cycles else 0
@@ -70,7 +70,7 @@ class RunSamples:
         self.steps = steps(self.wheels, geometry)
 
     def _rows(self, samples: Iterator[tuple[float, ...]]) -> Array:
-        """(n, k) by rising time; the first column is in s."""
+        """Samples as rows (n, k) by rising time; the first column is the time in s."""
         rows = [(1e-9 * (t_ns - self._zero_ns), *values) for t_ns, *values in samples]
         if not rows:
             return np.zeros((0, 9))
@@ -78,7 +78,7 @@ class RunSamples:
         return table[np.unique(table[:, 0], return_index=True)[1]]
 
     def rests(self, begin_s: float, end_s: float) -> bool | None:
-        """Whether the robot rested in all of a stretch; None where it started or stopped, or is unknown."""
+        """Whether the robot rested during the whole span; None where it started or stopped, or is unknown."""
         inside = self.steps[(self.steps[:, 0] >= begin_s) & (self.steps[:, 0] <= end_s)]
         if len(inside) < 2:
             return None
@@ -88,7 +88,7 @@ class RunSamples:
         return False if slow > MOVING_M_S else None
 
     def true_poses(self, t_s: Array) -> Array:
-        """(n, 3) by motion capture; NaN where it saw nothing near."""
+        """Motion-capture poses (n, 3) interpolated to times (n,); NaN outside the data and in gaps."""
         if len(self.truth) < 2:
             return np.full((len(t_s), 3), np.nan)
         at_s = self.truth[:, 0]
@@ -99,7 +99,7 @@ class RunSamples:
 
 
 def steps(wheels: Array, geometry: WheelGeometry) -> Array:
-    """Displacements between servo reads, (n, 11): time s, duration s, a wheel's mean way m, (8,) wheels m."""
+    """Displacements between servo reads, (n, 11): time s, duration s, mean wheel way m, 8 wheel vectors m."""
     if len(wheels) < 2:
         return np.zeros((0, 11))
     dt = np.diff(wheels[:, 0])
@@ -110,20 +110,23 @@ def steps(wheels: Array, geometry: WheelGeometry) -> Array:
 
 
 def speed(steps: Array) -> float:
-    """Of the body by its wheels over steps (n, 11), m/s: their noise adds up to little, unlike its size."""
+    """Speed of the body over steps (n, 11), m/s, from the sum of the wheel vectors.
+
+    In the sum of the vectors the noise averages out, unlike in the sum of their lengths.
+    """
     way = steps[:, 3:11].sum(axis=0).reshape(4, 2)
     return float(np.hypot(way[:, 0], way[:, 1]).max() / steps[:, 1].sum())
 
 
 @dataclass
 class Spreads:
-    """Of one quantity: at rest and in motion."""
+    """Variance of one quantity, at rest and in motion."""
 
     rest: Spread = field(default_factory=Spread)
     moving: Spread = field(default_factory=Spread)
 
     def add(self, found: Spread, *, moving: bool) -> None:
-        """One more stretch."""
+        """Add the variance of one more block."""
         if moving:
             self.moving = self.moving + found
         else:
@@ -131,25 +134,25 @@ class Spreads:
 
     @property
     def both(self) -> Spread:
-        """Of a robot that works: that of motion where it is clearly another one than at rest, else of all."""
+        """Variance to use: that in motion where the intervals do not overlap, else the pooled one."""
         (_, low, high), (_, rest_low, rest_high) = self.moving.sigma(), self.rest.sigma()
         return self.moving if low > rest_high or high < rest_low else self.rest + self.moving
 
 
 @dataclass
 class SensorNoise:
-    """What was found, each a variance; empty where the runs say nothing.
+    """Measured noise, each a variance; empty where the runs contain no information.
 
     Attributes:
-        gyro: of one rate, rad^2/s^2.
+        gyro: white noise of one rate, rad^2/s^2.
         camera_position, camera_heading: white noise of one pose, m^2 per axis and rad^2.
-        camera_walk: of the camera's place, m^2 per metre; `camera_creep`, m^2 per second at rest.
-        camera_turn: of the camera's heading, rad^2 per second.
+        camera_walk, camera_creep: drift of the camera's position, m^2 per metre, and m^2 per second at rest.
+        camera_turn: drift of the camera's heading, rad^2 per second.
         mocap_position, mocap_heading: white noise of one pose, m^2 per axis and rad^2.
-        wheel_step: of one displacement of a wheel between two reads, m^2 per component.
+        wheel_step: noise of a wheel's displacement between two reads, m^2 per component.
         wheel_walk: random slip of one wheel, m^2 per rolled metre.
-        push, twist: no noise of a sensor, but how the body's speed changes, m^2/s^3 per axis and rad^2/s^3:
-            where it does most (a tenth of all), and usually.
+        push, twist: changes of the body's speed, not sensor noise, m^2/s^3 per axis and rad^2/s^3: `push`
+            in the tenth with the largest changes, `twist` in the median.
     """
 
     gyro: Spreads = field(default_factory=Spreads)
@@ -167,7 +170,7 @@ class SensorNoise:
 
 
 def measure(runs: Runs, geometry: WheelGeometry) -> SensorNoise:
-    """Noise of the sensors in runs of cycles; each run begins and ends where its truth does."""
+    """Measure the noise of all sensors in runs of cycles; comparisons with motion capture cover its span."""
     found = SensorNoise()
     every = [RunSamples(cycles, geometry) for cycles in runs]
     for run in every:
@@ -183,7 +186,7 @@ def measure(runs: Runs, geometry: WheelGeometry) -> SensorNoise:
 
 
 def _mocap(run: RunSamples, found: SensorNoise) -> None:
-    """White noise of motion capture."""
+    """White noise of motion capture, by third differences."""
     for part in blocks(run.truth[:, 0], _DRIFT_S):
         t_s, poses = run.truth[part, 0], run.truth[part, 1:4]
         rests = run.rests(t_s[0], t_s[-1])
@@ -195,9 +198,10 @@ def _mocap(run: RunSamples, found: SensorNoise) -> None:
 
 
 def _gyro(run: RunSamples, found: SensorNoise) -> None:
-    """White noise of the rate: about its mean at rest, against the truth's turn in motion.
+    """White noise of the rate: at rest about a line, in motion against the turn by motion capture.
 
-    There bias and delay are left out: what is the same in every block, and what goes with the rate's change.
+    In motion, bias and delay are removed first: the constant part, and the part proportional to the change of
+    rate.
     """
     whole = []
     for part in blocks(run.gyro[:, 0], _GYRO_S):
@@ -222,13 +226,13 @@ def _gyro(run: RunSamples, found: SensorNoise) -> None:
 
 
 def _known(spreads: Spreads) -> float:
-    """Variance of a sensor that is used to judge another one, 0 where it is unknown."""
+    """Variance of a sensor that serves as reference for another one; 0 where it is unknown."""
     both = spreads.both
     return both.variance if both.freedom >= 1.0 else 0.0
 
 
 def _camera(run: RunSamples, found: SensorNoise) -> None:
-    """White noise of the camera's poses."""
+    """White noise of the camera's poses against motion capture."""
     place, turn = (2.0 / 3.0 * _known(s) for s in (found.mocap_position, found.mocap_heading))
     for part in blocks(run.camera[:, 0], _WHITE_S):
         t_s, poses = run.camera[part, 0], run.camera[part, 1:4]
@@ -244,7 +248,7 @@ def _camera(run: RunSamples, found: SensorNoise) -> None:
 
 
 def _camera_drift(runs: Sequence[RunSamples], found: SensorNoise) -> None:
-    """How camera and truth part from one block to the next: by way, at rest, and in heading."""
+    """Drift between camera and motion capture from block to block: per way, at rest, and in heading."""
     walk, creep, turn = list[Change](), list[Change](), list[Change]()
     white = [_known(s) for s in (found.camera_position, found.camera_heading)]
     truth = [_known(s) for s in (found.mocap_position, found.mocap_heading)]
@@ -282,7 +286,7 @@ def _camera_drift(runs: Sequence[RunSamples], found: SensorNoise) -> None:
 
 
 def _without_scale(steps: Sequence[Step]) -> Iterator[Step]:
-    """Steps of the camera without what one scale for all of them explains."""
+    """Steps of the camera and the true steps times one common scale, which removes a scale error."""
     power = sum(float(true @ true) for _, true, *_ in steps)
     scale = sum(float(true @ seen) for seen, true, *_ in steps) / power if power > 0.0 else 1.0
     for seen, true, *others in steps:
@@ -290,7 +294,7 @@ def _without_scale(steps: Sequence[Step]) -> Iterator[Step]:
 
 
 def _wheels(run: RunSamples, found: SensorNoise, geometry: WheelGeometry) -> None:
-    """What one wheel is off the motion that all four share, step by step."""
+    """Noise of the wheels: scatter of the wheel vectors about the common body motion, step by step."""
     for part in blocks(run.steps[:, 0], _WHITE_S):
         t_s, off = run.steps[part, 0], _off(run.steps[part, 3:11], geometry)
         rests = run.rests(t_s[0], t_s[-1])
@@ -302,15 +306,15 @@ def _wheels(run: RunSamples, found: SensorNoise, geometry: WheelGeometry) -> Non
 
 
 def _off(u: Array, geometry: WheelGeometry) -> Array:
-    """Wheel vectors (n, 8) less the body's motion that fits them best."""
+    """Wheel vectors (n, 8) less those of the best-fitting body motion."""
     p = geometry.projection()
     return np.asarray(u - u @ (np.linalg.pinv(p).T @ p.T), dtype=np.float64)
 
 
 def _wheel_walk(runs: Sequence[RunSamples], found: SensorNoise, geometry: WheelGeometry) -> None:
-    """Random slip of single wheels: what steps of some centimetres are off beyond their ends' noise.
+    """Random slip of single wheels: residual of 5 cm steps beyond the noise of their end points.
 
-    What is the same on every metre in one direction is the wheel's own, and no noise.
+    A residual that is the same on every metre is systematic for the wheel and does not count as noise.
     """
     squares, ways, freedom = 0.0, 0.0, 0.0
     ends = _known(found.wheel_step)
@@ -333,7 +337,7 @@ def _wheel_walk(runs: Sequence[RunSamples], found: SensorNoise, geometry: WheelG
 
 
 def _motion(runs: Sequence[RunSamples], found: SensorNoise) -> None:
-    """How speed and rate change from one block to the next, by motion capture, as a random walk."""
+    """Random-walk density of speed and yaw rate, from motion capture block by block."""
     push, twist = list[Change](), list[Change]()
     place, turn = _known(found.mocap_position), _known(found.mocap_heading)
     for run in runs:

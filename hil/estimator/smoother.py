@@ -1,9 +1,9 @@
-"""Rauch-Tung-Striebel smoothing of a whole recording: every pose given all samples, before and after it.
+"""Rauch-Tung-Striebel smoothing of a whole recording: every pose given all samples before and after it.
 
-In the form of Bryson and Frazier: instead of inverting predicted covariances, which are singular where a
-pose was just cloned, it carries what the later samples say (a vector and a matrix) backwards through every
-update, clone and prediction of the extended Kalman filter. Both forms give the same result on a linear
-model (tests hold it against the batch solution). Offline only.
+The form of Bryson and Frazier is used. Predicted covariances are singular where a pose was just cloned, so
+they are not inverted. Instead the information of the later samples (a vector and a matrix) is carried
+backwards through every update, clone and prediction of the extended Kalman filter. Both forms give the same
+result on a linear model (tests compare it with the batch solution). Offline only.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ _SEGMENT = 512
 
 
 class Later(NamedTuple):
-    """What later samples say of a state x with covariance p.
+    """Information of later samples on a state x with covariance p.
 
     Attributes:
-        late: (20,) and
-        spread: (20, 20): smoothed state = x - p late, smoothed covariance = p - p spread p.
+        late: (20,): smoothed state = x - p late.
+        spread: (20, 20): smoothed covariance = p - p spread p.
     """
 
     late: Array
@@ -67,14 +67,14 @@ def smooth(
     measurements: Sequence[Measurements],
     start: RobotState,
 ) -> tuple[RobotState, ...]:
-    """Smoothed states at the cycles' times.
+    """Smoothed states at the times of the cycles.
 
     Args:
-        config: of the filter; `kind` and `engine` do not matter, the forward pass is the compiled EKF.
+        config: filter configuration; `kind` and `engine` are ignored, the forward pass is the compiled EKF.
         geometry: calibrated wheel parameters.
         surface: `wall` or `floor`.
         measurements: one run from its first cycle.
-        start: state that the run was started from.
+        start: start state of the run.
 
     Returns:
         One state per cycle, with pose, twist and their covariance; no diagnostics.
@@ -101,7 +101,7 @@ def smooth(
 
 @cache
 def load_smoother() -> None:
-    """Load the machine code of `backward`; without one it is compiled."""
+    """Load the compiled code of `backward`, or compile it where none is cached."""
     one, row, square = np.zeros(1, dtype=np.int64), np.zeros((1, STATES)), np.zeros((1, STATES, STATES))
     events = Events(one, one, one, np.zeros(1, ROW))
     states, later = States(row, square, np.zeros(1, MEMORY)), Later(row[0].copy(), square[0].copy())
@@ -112,10 +112,10 @@ def load_smoother() -> None:
 def _ordered(
     config: EstimatorConfig, measurements: Iterable[Measurements], start_ns: int
 ) -> tuple[Ints, Array]:
-    """Every usable sample once, and a mark per cycle, in the filter's total order (NaN after all numbers).
+    """Every usable sample once, and a mark per cycle, in the filter's total order (NaN sorts last).
 
     Returns:
-        (n, 3) stamps, numbers of sensors, sequence numbers; (n, floats of a row) event rows.
+        (n, 3) stamps, sensor numbers, sequence numbers; (n, floats of a row) event rows.
     """
     intake, nothing = MeasurementQueue(config), np.zeros((1, ROW_FLOATS))
     found: list[tuple[int, ...]] = []
@@ -135,13 +135,13 @@ def _ordered(
 
 
 class _Segment:
-    """A stretch of events; row 0 is the one before it."""
+    """A segment of the events; row 0 is the event before it."""
 
     def __init__(self, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records) -> None:
         self.zero_ns, self.events = zero_ns, Events(np.array([0, len(t_ns), 0, 0]), t_ns, numbers, rows)
 
     def forward(self, x0: Array, p0: Array, m0: Records, par: Records) -> tuple[Array, Array, Records]:
-        """States (n, 20), covariances and memories after each event, the one before it included."""
+        """States (n, 20), covariances and memories after each event, including the one before the segment."""
         t_ns = self.events.t_ns
         n = len(t_ns)
         x, p, m = np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty(n, MEMORY)
@@ -152,7 +152,7 @@ class _Segment:
 
 
 def _segments(keys: Ints, data: Array, start_ns: int) -> list[_Segment]:
-    """The run in stretches whose states fit in memory; neighbours share one event."""
+    """Split the run into segments whose states fit in memory; neighbours share one event."""
     t_ns, numbers = np.r_[start_ns, keys[:, 0]], np.r_[MARK, keys[:, 1]]
     rows = np.concatenate([np.zeros((1, ROW_FLOATS)), data]).view(ROW)[:, 0]
     cuts = [slice(k, k + _SEGMENT + 1) for k in range(0, len(t_ns) - 1, _SEGMENT)]
@@ -170,17 +170,17 @@ def pull_update(
     after: Array,
     later: Later,
 ) -> None:
-    """Carry what later samples say back through one sample's update, row by row in reverse, in place.
+    """Carry the information of later samples back through one sample's update, row by row, in place.
 
     Args:
-        number: of the sensor.
-        t_ns: stamp since the start.
+        number: sensor number.
+        t_ns: stamp, ns since the start.
         x: (20,) predicted state.
         p: (20, 20) its covariance.
-        m: memory before the sample; used up.
-        sample: its row, and the parameters of all kernels.
+        m: memory before the sample; overwritten.
+        sample: the sample's row, and the parameters of all kernels.
         after: (20,) state after the sample.
-        later: changed.
+        later: changed in place.
     """
     (row, par), (late, spread) = sample, later
     w = par.work
@@ -228,16 +228,16 @@ def pull_update(
 def backward(
     zero_ns: int, events: Events, states: States, pars: Records, later: Later, xs: Array, ps: Array
 ) -> None:
-    """Backward pass over one stretch; `later` goes on to the one before it.
+    """Backward pass over one segment; afterwards `later` is valid at its start.
 
     Args:
-        zero_ns: stamp that sensor memory counts from.
-        events: of the stretch, in order; the first one is the event before it.
-        states: of the forward pass after each event; memories are used up.
+        zero_ns: stamp that the stamps in sensor memory are relative to.
+        events: events of the segment, in order; the first one is the event before it.
+        states: states of the forward pass after each event; memories are overwritten.
         pars: (1,) parameters of all kernels.
         later: changed in place.
-        xs: (n, 20) and
-        ps: (n, 6, 6), filled at the cycles' marks with smoothed states and the covariance of pose and twist.
+        xs: (n, 20) filled with smoothed states at the cycles' marks.
+        ps: (n, 6, 6) filled there with the smoothed covariance of pose and twist.
     """
     (_, t_ns, numbers, rows), (x, p, m), (late, spread) = events, states, later
     par, rolling = pars[0], np.zeros(2)

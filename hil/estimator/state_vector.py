@@ -1,7 +1,7 @@
-"""The state vector of the filter: which number stands where. The covariance goes by the same names.
+"""State vector of the filter: the index of each state. The covariance uses the same indices.
 
 Twenty states: pose in the wall frame (m, m, rad); body twist (m/s, m/s, rad/s); pose in the tracking camera's
-own frame, as long as its scale makes it; scale error (of the camera or of the wheels); gyro bias (rad/s); yaw
+own frame, including its scale error; scale error (of the camera or of the wheels); gyro bias (rad/s); yaw
 slip per rolled metre (rad/m); slip velocity (wall axes, m/s); creep, the slip per rolled metre (wall axes,
 m/m); offset of the gravity heading (rad); pose cloned at the last servo read.
 """
@@ -41,18 +41,18 @@ POSE = slice(X, THETA + 1)
 TWIST = slice(V_X, OMEGA + 1)
 CLONE = slice(CLONE_X, CLONE_THETA + 1)
 MOTION = OMEGA + 1
-"""How many states, the leading ones, are pose and twist: those that are published."""
+"""Number of leading states that are pose and twist; these are published."""
 CURVED = SCALE + 1
-"""How many, the leading ones, the nonlinear part of the process model has to do with."""
+"""Number of leading states that enter the nonlinear part of the process model."""
 
 ROWS = 8
-"""Most rows that one sample compares with the state."""
+"""Largest number of rows that one sample has."""
 AUX = 5
-"""Most figures that the prediction of a sample's rows needs beside the state."""
+"""Largest number of figures, beside the state, that the prediction of a sample's rows needs."""
 
 
 def prior_variances(config: EstimatorConfig, surface: str) -> Array:
-    """Initial variances (20,) of what a start state does not bring; pose and twist are left at zero."""
+    """Initial variances (20,) of the states that a start state does not contain; pose and twist 0."""
     slip = config.slip(surface)
     sigma = np.zeros(STATES)
     sigma[BIAS] = config.gyro.bias_rad_s

@@ -1,13 +1,13 @@
-"""Noise of the estimator fitted to recordings with ground truth, by maximum likelihood.
+"""Fits the noise of the estimator to recordings with ground truth, by maximum likelihood.
 
-The score has two parts. The mean negative log likelihood of the true pose under the estimate, 1/2 (ln det P
-+ e' P^-1 e) at instants half a second apart, rewards small errors and honest covariances at once, and is
-least where NEES is ideal. From a noise of single samples that is far too small it does not find back,
-because the pose hardly changes with it: so for wheels, gyro and camera the divergence between the
-innovations that came and those that were expected is added, 1/2 (r - 1 - ln r) with the mean NIS r per row,
-0 where it is 1. The gravity heading is left out: its errors live for seconds. The search changes one figure
-after the other by a factor, keeps what helps and refines the factor: no derivative, no randomness, the same
-result every time. A figure on which no score depends is not fitted.
+The score has two parts. The first is the mean negative log likelihood of the true pose under the estimate,
+1/2 (ln det P + e' P^-1 e), at instants half a second apart. It rewards small errors and honest covariances at
+once, and is least where NEES is ideal. It alone cannot correct a noise of single samples that is far too
+small, because the pose hardly depends on it. So for wheels, gyro and camera the divergence between the actual
+and the expected innovations is added, 1/2 (r - 1 - ln r) with the mean NIS r per row, which is 0 at r = 1.
+The gravity heading is left out: its errors are correlated over seconds. The search changes one figure after
+the other by a factor, keeps what helps and refines the factor. It uses no derivative and no randomness, so
+the result is the same every time. A figure on which no score depends is not fitted.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FACTORS = (3.0, 1.7, 1.3)
 _LEAST_GAIN = 1e-3
 _CLEARLY_WORSE = 1e-2
 _SENSORS = {"gyro", "tracker"}
-"""Tables of noise that are those of a sensor which a recording need not have."""
+"""Noise tables of sensors that a recording may lack."""
 _WHITE = ("wheels", "gyro", "tracker")
 _STEP_RESOLUTION_M = 1e-4
 _HEADING_RESOLUTION_RAD = 2e-4
@@ -42,7 +42,7 @@ _HEADING_RESOLUTION_RAD = 2e-4
 
 @dataclass(frozen=True)
 class TruthRun:
-    """One run with truth at its cycles: measurements, start, true poses (n, 3), NaN where unknown."""
+    """One run with ground truth at its cycles: measurements, start, true poses (n, 3), NaN where unknown."""
 
     measurements: tuple[Measurements, ...]
     start: RobotState
@@ -51,7 +51,7 @@ class TruthRun:
     surface: str
 
     def can_be_checked(self) -> bool:
-        """Whether truth is known anywhere behind the first instant that is checked."""
+        """Whether the truth is known at any cycle from the first checked instant on."""
         begin_ns = self.start.t_ns + CHECK_EVERY_NS
         late = np.array([m.t_ns >= begin_ns for m in self.measurements])
         return bool(np.any(np.isfinite(self.truth[late]).all(axis=1)))
@@ -59,12 +59,12 @@ class TruthRun:
 
 @dataclass(frozen=True)
 class Score:
-    """How an estimator did on runs.
+    """Performance of an estimator on runs.
 
     Attributes:
-        likelihood: mean negative log likelihood of the true pose, and `innovations`: what is made least.
-        innovations: divergence of the innovations from what was expected of them, summed over sensors.
-        rmse_position_m, rmse_theta_rad, nees: against the truth.
+        likelihood: mean negative log likelihood of the true pose plus `innovations`; the search minimises it.
+        innovations: divergence between actual and expected innovations, summed over sensors.
+        rmse_position_m, rmse_theta_rad, nees: errors against the truth.
     """
 
     likelihood: float
@@ -79,12 +79,12 @@ class Tuned:
     """Result of a search.
 
     Attributes:
-        config: with the fitted values.
-        values: they by dotted name.
-        silent: names about which the recordings say nothing.
+        config: configuration with the fitted values.
+        values: the fitted values by dotted name.
+        silent: names on which no score depends.
         untried: names that the budget did not reach.
         before, after: scores at the start and at the end.
-        evaluations: how often all runs were estimated.
+        evaluations: number of times that all runs were estimated.
     """
 
     config: EstimatorConfig
@@ -97,7 +97,7 @@ class Tuned:
 
 
 def tunable(config: EstimatorConfig, surface: str) -> dict[str, float]:
-    """Positive noise figures that a search may change, by dotted name."""
+    """Noise figures above 0 that a search may change, by dotted name."""
     names = {
         "process": ("acceleration_m_s2_sqrt_hz", "angular_acceleration_rad_s2_sqrt_hz"),
         "wheels": ("step_m", "per_sqrt_m", "steering_m_rad"),
@@ -119,13 +119,13 @@ def tunable(config: EstimatorConfig, surface: str) -> dict[str, float]:
 
 
 def value_of(config: EstimatorConfig, name: str) -> float:
-    """A figure of a configuration by its dotted name, in SI units."""
+    """Value of a configuration key by its dotted name, in SI units."""
     table, key = name.split(".")
     return float(getattr(getattr(config, table), key))
 
 
 def with_values(config: EstimatorConfig, values: Mapping[str, float]) -> EstimatorConfig:
-    """The configuration with some figures replaced; raises `ValueError` for an impossible one."""
+    """Copy of the configuration with some values replaced; raises `ValueError` for an impossible one."""
     tree: dict[str, Any] = config.model_dump()
     for name, value in values.items():
         put_dotted(tree, name, value, "estimator")
@@ -133,7 +133,7 @@ def with_values(config: EstimatorConfig, values: Mapping[str, float]) -> Estimat
 
 
 def score(config: EstimatorConfig, runs: Sequence[TruthRun]) -> Score:
-    """Run an estimator over all runs and hold it against the truth."""
+    """Run an estimator over all runs and compare it with the truth."""
     every, errors, figures = [], [], []
     for run in runs:
         error, covariance, nis = _checked(config, run)
@@ -155,11 +155,11 @@ def score(config: EstimatorConfig, runs: Sequence[TruthRun]) -> Score:
 
 
 def worse(before: Score, after: Score) -> str:
-    """How far fitted figures do worse on recordings that they were not fitted to; empty where they do not.
+    """How far the fitted figures do worse on recordings not used in the fit; empty where they do not.
 
     Args:
-        before: of those recordings, with the figures that the search began with.
-        after: with the fitted ones. Worse is a mean negative log likelihood that is higher by 0.01.
+        before: score of those recordings with the figures that the search began with.
+        after: their score with the fitted figures; worse means a `likelihood` higher by more than 0.01.
     """
     if after.likelihood <= before.likelihood + _CLEARLY_WORSE:
         return ""
@@ -172,13 +172,14 @@ def worse(before: Score, after: Score) -> str:
 
 
 def divergence(nis: Array) -> float:
-    """Sum over sensors of 1/2 (r - 1 - ln r), r the mean of a column of NIS (k, sensors); 0 for a silent one.
+    """Sum over sensors of 1/2 (r - 1 - ln r), r the mean of a column of NIS (k, sensors).
 
-    The divergence of Kullback and Leibler between innovations of r times the variance and those expected.
+    This is the Kullback-Leibler divergence between innovations of r times the expected variance and the
+    expected ones. A sensor without samples adds 0.
     """
     r = nis.mean(axis=0)
-    heard = r[r > 0.0]
-    return float(np.sum(0.5 * (heard - 1.0 - np.log(heard))))
+    known = r[r > 0.0]
+    return float(np.sum(0.5 * (known - 1.0 - np.log(known))))
 
 
 def _checked(config: EstimatorConfig, run: TruthRun) -> tuple[Array, Array, Array]:
@@ -201,9 +202,9 @@ def _checked(config: EstimatorConfig, run: TruthRun) -> tuple[Array, Array, Arra
 
 
 def _nis(state: RobotState, sensor: str) -> float:
-    """Mean normalised innovation squared per row; 0 for a sensor that has said nothing."""
-    silent_s = state.diagnostics.get(f"age_{sensor}_s", math.inf)
-    return state.diagnostics[f"nis_mean_{sensor}"] if math.isfinite(silent_s) else 0.0
+    """Mean normalised innovation squared per row; 0 for a sensor without samples."""
+    age_s = state.diagnostics.get(f"age_{sensor}_s", math.inf)
+    return state.diagnostics[f"nis_mean_{sensor}"] if math.isfinite(age_s) else 0.0
 
 
 def tune(
@@ -215,15 +216,15 @@ def tune(
     *,
     every: bool = False,
 ) -> Tuned:
-    """Fit noise figures.
+    """Fit noise figures to runs with ground truth.
 
     Args:
-        config: where to start.
-        runs: recordings with truth.
+        config: configuration to start from.
+        runs: recordings with ground truth.
         names: dotted names of `tunable`, in the order in which they are tried.
-        evaluations: budget: how often all runs are estimated at most.
+        evaluations: budget: largest number of times that all runs are estimated.
         report: called with (what, done, total).
-        every: whether a name about which the recordings say nothing is refused; else it is left out.
+        every: whether a name on which no score depends is refused; else it is left out.
 
     Raises:
         UsageError: a name that cannot be tuned, or a run without truth.
@@ -264,7 +265,7 @@ def tune(
 
 
 def _refuse(mute: Set[str]) -> None:
-    """Refuse names about which the recordings say nothing."""
+    """Raise `UsageError` for names on which no score depends."""
     if mute:
         raise UsageError(
             f"the recordings say nothing about {', '.join(sorted(mute))}: no estimate depends on it",

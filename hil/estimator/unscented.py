@@ -1,8 +1,8 @@
-"""Unscented transform with its known traps avoided: those that filter libraries fall into.
+"""Unscented transform without the numerical traps of common filter libraries.
 
-Sigma points are drawn anew before every use; sums are taken relative to the centre point, because
-W_0 is about -1e6 at alpha = 1e-3; headings are unwrapped real numbers, so there is no circular mean. The
-square root accepts a singular covariance: a state that was just cloned has no variance of its own.
+Sigma points are drawn anew before every use. Sums are taken relative to the centre point, because W_0 is
+about -1e6 at alpha = 1e-3. Headings are unwrapped real numbers, so there is no circular mean. The square root
+accepts a singular covariance: a state that was just cloned has no variance of its own.
 
 With points x +- spread L_k, values f_k+ and f_k-, odd part o_k = (f_k+ - f_k-) / 2 and even part
 e_k = (f_k+ + f_k-) / 2 - f_0, the weights collect to
@@ -10,7 +10,7 @@ e_k = (f_k+ + f_k-) / 2 - f_0, the weights collect to
     mean = f_0 + D, D = 2 w sum e_k;  cov(x, f) = 2 w spread sum L_k o_k';
     cov(f) = 2 w sum (o_k o_k' + e_k e_k') + (beta - alpha^2) D D'
 
-in which nothing cancels. What the model leaves linear keeps its covariance exactly and needs no points.
+in which nothing cancels. The linear part of the model keeps its covariance exactly and needs no points.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from hil.estimator.state_vector import CURVED, OMEGA, ROWS, SCALE, SIGHT_X, SIGH
 from hil.support.numba_jit import inner
 
 PLACES = (X, Y, SIGHT_X, SIGHT_Y)
-"""The numbers of the state that do not move linearly."""
+"""States whose prediction is nonlinear."""
 
 
 class Weights(NamedTuple):
-    """How sigma points are spread and added up.
+    """Spread and weights of the sigma points.
 
     Attributes:
-        reach: how many columns of the root a point lies from the centre.
+        reach: distance of a point from the centre, in columns of the square root.
         pair: 2 w, the weight of two opposite points.
-        centre: beta - alpha^2, for the square of the mean's offset.
+        centre: beta - alpha^2, the weight of the squared offset of the mean.
     """
 
     reach: float
@@ -47,11 +47,11 @@ class Weights(NamedTuple):
 
 
 Points: TypeAlias = Weights | None
-"""Sigma points of the UKF; None for the EKF, which has none."""
+"""Sigma points of the UKF; None for the EKF."""
 
 
 def points_of(config: EstimatorConfig) -> Points:
-    """Sigma points of a configuration."""
+    """Sigma points of a configuration; None for the EKF."""
     if config.kind != "ukf":
         return None
     total = config.alpha * config.alpha * (STATES + config.kappa)
@@ -68,15 +68,15 @@ def parts(high: Array, low: Array, centre: Array, odd: Array, even: Array) -> No
 
 @inner
 def collect(w: Weights, root: Array, count: int, work: Work, cross: Array, own: Array) -> None:
-    """Sum up the parts of `count` values: offset of the mean, cross and own.
+    """Sum up the odd and even parts of `count` values: offset of the mean, `cross` and `own`.
 
     Args:
         w: weights.
         root: (rows, 20) square root of the covariance, as many rows as there are pairs of points.
-        count: of the values.
+        count: number of values.
         work: odd and even parts; its `offset` (8,) is filled with the mean's distance from the centre.
         cross: (8, 20) filled with the covariance of values and state.
-        own: (8, 8) filled with that of the values.
+        own: (8, 8) filled with the covariance of the values.
     """
     offset, odd, even = work.offset, work.odd, work.even
     offset[:] = 0.0
@@ -96,7 +96,7 @@ def collect(w: Weights, root: Array, count: int, work: Work, cross: Array, own: 
 
 @inner
 def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weights, nominal: Array) -> None:
-    """Unscented prediction of x (20,), p (20, 20), in place: points for the position, the rest is linear."""
+    """Unscented prediction of x (20,), p (20, 20), in place; points for the positions only."""
     work, by = par.work, par.process
     root, up, down, high, low = work.root[:CURVED], work.up[:], work.down[:], work.high, work.low
     centre, scale = work.centre, x[SCALE]
@@ -107,7 +107,7 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weigh
     for k in range(CURVED):
         for i in range(STATES):
             up[i], down[i] = x[i] + w.reach * root[k, i], x[i] - w.reach * root[k, i]
-        if k <= OMEGA:  # what stands behind the twist does not move the pose in the wall frame
+        if k <= OMEGA:  # states after the twist do not affect the pose in the wall frame
             high[0], high[1] = wall_shift(up, dt_s)
             low[0], low[1] = wall_shift(down, dt_s)
         else:
@@ -135,7 +135,7 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weigh
 
 @inner
 def moments_unscented(number: int, x: Array, p: Array, par: Parameters, w: Weights, count: int) -> None:
-    """As `events.moments`."""
+    """`event_loop.moments` by sigma points."""
     work = par.work
     aux, mean, cross, own = work.aux[:], work.mean[:], work.cross[:], work.own[:]
     root, up, down, high, low = work.root[:], work.up[:], work.down[:], work.high[:], work.low[:]

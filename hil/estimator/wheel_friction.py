@@ -1,9 +1,8 @@
 """Body displacement of four wheels that contradict each other, for the filter kernels.
 
-The wheels' disagreement is smaller than the encoder's quantisation in one servo step, so the weights
-come from the steps of the last `friction_window_s` together and are applied to the newest step
-(blocks of 0.3 s, continuation q = 2, 1.5, 1.2, 1). Same laws as
-`hil.robot.contact_laws`.
+Within one servo step the disagreement of the wheels is smaller than the quantisation of the encoders. So the
+weights are computed from the steps of the last `friction_window_s` together and applied to the newest step
+(blocks of 0.3 s, continuation q = 2, 1.5, 1.2, 1). The laws are those of `hil.robot.contact_laws`.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ _POWERS = np.array([2.0, 1.5, 1.5, 1.5, 1.2, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 
 
 
 class Contacts(Record):
-    """The wheels where they touch the surface, body frame.
+    """Contact points of the wheels in the body frame, with loads and stiffness.
 
     Attributes:
         radius_m, steering_zero_rad, x_m, y_m: calibrated geometry of each wheel.
-        load, across: normal load relative to the mean, which is also the relative creep stiffness lengthwise;
-            that sideways.
+        load, across: normal load relative to the mean, which is also the relative creep stiffness lengthwise,
+            and the relative creep stiffness sideways.
     """
 
     radius_m: Four
@@ -94,7 +93,7 @@ def friction_weights(u: Array, wheels: Contacts) -> Array:
 
 @inner
 def friction_twist(u: Array, window: Array, wheels: Contacts) -> Array:
-    """Displacement (3,) of the newest step (8,), weighted by the friction over the window's sum (8,)."""
+    """Displacement (3,) of the newest step (8,), with friction weights from the window's sum (8,)."""
     still = 0.0
     for i in range(8):
         still += abs(window[i])
@@ -105,12 +104,12 @@ def friction_twist(u: Array, window: Array, wheels: Contacts) -> Array:
 
 @inner
 def creep_twist(u: Array, window: Array, wheels: Contacts) -> Array:
-    """Displacement (3,) of the newest step (8,) at which creep forces balance; see `hil.robot.contact_laws`.
+    """Displacement (3,) of the newest step (8,) where creep forces balance; see `hil.robot.contact_laws`.
 
     Args:
-        u: newest step.
-        window: sum (8,) of the last steps: how far and where to each wheel rolls.
-        wheels: where they touch the surface.
+        u: (8,) newest step.
+        window: (8,) sum of the last steps: direction and distance that each wheel rolls.
+        wheels: contact points of the wheels.
     """
     mean = 1e-9
     for i in range(4):
@@ -142,7 +141,7 @@ def creep_twist(u: Array, window: Array, wheels: Contacts) -> Array:
 
 @inner
 def windowed_twist(u: Array, window: Array, decay: float, wheels: Contacts, creeping: bool) -> Array:
-    """Displacement (3,) of the newest step by either law; `window` (8,) fades by `decay` and takes it."""
+    """Displacement (3,) of the newest step by either law; updates the decaying `window` (8,) with it."""
     for i in range(8):
         window[i] = decay * window[i] + u[i]
     return creep_twist(u, window, wheels) if creeping else friction_twist(u, window, wheels)

@@ -1,7 +1,7 @@
-"""Odometry as an estimator: wheel displacements integrated on SE(2), nothing else.
+"""Odometry as an estimator: wheel displacements integrated on SE(2), no other sensor.
 
-The baseline that every filter is compared with, and the bench's fallback. Wheels are differenced by
-position; a wheel that is missing for one read is left out of the least-squares displacement.
+It is the baseline for every filter and the bench's fallback. Displacements are differences of wheel angles
+(or rates times the step, by `source`). A wheel missing in one read is left out of the least squares.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ _LEAST_WHEELS = 2
 
 @kernel
 def _windowed(u: Array, window: Array, decay: float, wheels: Records, creeping: bool) -> Array:
-    """`windowed_twist` with the wheels as an array (1,), which is quicker to pass from Python."""
+    """`windowed_twist` with the wheels as an array (1,), which is faster to pass from Python."""
     return windowed_twist(u, window, decay, wheels[0], creeping)
 
 
 class OdometryEstimator(Estimator):
     """Dead reckoning from the wheels.
 
-    Its covariance is that of random slip and of what the filters take for the surface: creep and turn per
-    rolled metre are the same all the way, so that their share grows with the way and not with its root, and
-    a heading that is off takes the place along.
+    The covariance contains random slip and the slip parameters of the surface that the filters use. Creep and
+    turn per rolled metre are constant along the way, so their share of the standard deviation grows with the
+    distance, not with its root. A wrong heading also displaces the position.
 
     Args:
         config: noise of the wheels, and slip of the surface.
-        geometry: of the wheels.
+        geometry: wheel parameters.
         surface: `wall` or `floor`.
     """
 
@@ -69,7 +69,7 @@ class OdometryEstimator(Estimator):
         self._rejected = 0
 
     def update(self, measurements: Measurements) -> RobotState:
-        """Integrate the servo reads in order of their stamps; older ones than the last are skipped."""
+        """Integrate the servo reads in order of their stamps; reads not newer than the last are skipped."""
         for sample in sorted(measurements.wheels, key=lambda w: (w.stamp.t_ns, w.stamp.seq)):
             self._take(sample)
         last_ns = self._last.stamp.t_ns if self._last is not None else measurements.t_ns
@@ -134,16 +134,16 @@ class OdometryEstimator(Estimator):
         covariance[1, 1] += 0.25 * spread + 2.0 * dt * self._slipping[1]
         covariance[2, 2] += 0.25 * spread / self._arm_m2
         share = math.exp(-dt / self._slip_s)
-        # Covariance of place and slip velocity, which is an Ornstein-Uhlenbeck process.
+        # Covariance of position and slip velocity, which is an Ornstein-Uhlenbeck process.
         self._slipping = share * self._slipping + (1.0 - share) * self._slip_s * self._slip_m2_s2
         self._lean(self._pose - before, rolled_m)
 
     def _lean(self, step: Array, rolled_m: float) -> None:
-        """Derivatives of the pose (rows) by creep along wall x and y and by turn per metre, after a step.
+        """Update the pose's derivatives by creep along wall x and y and by turn per metre, after a step.
 
         Args:
-            step: (3,) of the pose in the wall frame.
-            rolled_m: its length.
+            step: (3,) change of the pose in the wall frame.
+            rolled_m: length of the step.
         """
         slopes = self._slopes
         slopes[0, 2] -= step[1] * (slopes[2, 2] + 0.5 * rolled_m)
@@ -154,6 +154,6 @@ class OdometryEstimator(Estimator):
 
 
 def _usable(sample: WheelMeasurement) -> list[bool]:
-    """Which wheels have both angles and are not marked."""
+    """Which wheels are marked valid and have both angles."""
     values = zip(sample.valid, sample.wheel_angle_rad.tolist(), sample.steering_rad.tolist(), strict=True)
     return [bool(ok) and math.isfinite(turned) and math.isfinite(steered) for ok, turned, steered in values]

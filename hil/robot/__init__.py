@@ -1,1 +1,1 @@
-"""The robot's mathematics: kinematics, wheel contact, odometry, trajectories and what they may ask."""
+"""Mathematics of the robot: kinematics, wheel contact, statics, odometry, trajectories, motion limits."""

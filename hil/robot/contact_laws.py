@@ -1,22 +1,22 @@
-"""How a body moves whose wheels contradict each other: the law of the contacts decides.
+"""Laws of wheel contact: body motion of a robot whose wheels contradict each other.
 
 No set of four wheels agrees exactly on a body motion b: P b = u (`hil.robot.kinematics`) has eight rows and
-three unknowns, and what is left over is slip e_i = P_i b - u_i. Two laws:
+three unknowns. The remainder is slip e_i = P_i b - u_i. Two laws:
 
 * dry friction: each contact resists with a force that grows with its load N_i and not with slip; least
   dissipation, b = argmin sum_i N_i |e_i|.
   Explains large contradictions, and the authors' recordings, best (`docs/calibration.md`).
-* creep: a rolling tyre that is pushed drifts in proportion, force = C N_i e_i / |u_i|, with C smaller
-  sideways than lengthwise (normal loads N_i). Small contradictions, as
-  between wheels whose zeros are a degree off; the forces balance at a weighted least-squares motion.
+* creep: a rolling tyre under a side force drifts in proportion to it, force = C N_i e_i / |u_i|, with C
+  smaller sideways than lengthwise (normal loads N_i). Explains small contradictions, as between wheels whose
+  zeros are a degree off; the forces balance at a weighted least-squares motion.
 
-Forces along a wheel count like those across: its servo holds the rotation that is measured.
+Forces along a wheel count like those across it: its servo holds the measured rotation.
 
-`creep_motion` and `least_dissipation` take rows of wheel vectors. What stands below them is written once for
-one row and for many: a quantity is a number, or an array (n,) with one number for each row; wheel vectors
-u (8,) or (8, n) hold their quantities along the first axis. numba compiles this for numbers
-(`hil.calibration.residual_pass`), numpy runs it on arrays. Wheel positions are the first eight numbers of a
-parameter vector z: x_1..4, y_1..4, m. A symmetric 3x3 matrix is (xx, xy, xt, yy, yt, tt).
+`creep_motion` and `least_dissipation` take rows of wheel vectors. The functions below them work for one row
+and for many: a quantity is a number, or an array (n,) with one number per row; wheel vectors u are (8,) or
+(8, n). numba compiles them for numbers (`hil.calibration.residual_pass`), numpy runs them on arrays. Wheel
+positions are the first eight elements of a parameter vector z: x_1..4, y_1..4, m. A symmetric 3x3 matrix is
+(xx, xy, xt, yy, yt, tt).
 """
 
 from __future__ import annotations
@@ -72,12 +72,12 @@ def least_dissipation(p: Array, u: Array, load: Array | None = None, power: floa
 
 
 def positions(p: Array) -> Array:
-    """Wheel positions (8,), x_1..4 and y_1..4, that a projection P (8, 3) was made of."""
+    """Wheel positions (8,), x_1..4 and y_1..4, that belong to a projection P (8, 3)."""
     return np.concatenate([p[1::2, 2], -p[0::2, 2]])
 
 
 def rolled_mean(u: Array) -> Array:
-    """Mean displacement (or speed), never zero, of wheel vectors u (8, ...): the scale of the slip."""
+    """Mean wheel displacement (or speed), above 0, of wheel vectors u (8, ...); the scale of the slip."""
     total = 0.0 * u[0]
     for i in range(4):
         total = total + np.sqrt(u[2 * i] * u[2 * i] + u[2 * i + 1] * u[2 * i + 1])
@@ -86,14 +86,14 @@ def rolled_mean(u: Array) -> Array:
 
 
 def slip(z: Array, u: Array, b: Triple, i: int) -> Triple:
-    """Slip (e_x, e_y) of contact i at body motion b, and its length."""
+    """Slip (e_x, e_y, |e|) of contact i at body motion b."""
     ex = b[0] - z[4 + i] * b[2] - u[2 * i]
     ey = b[1] + z[i] * b[2] - u[2 * i + 1]
     return ex, ey, np.sqrt(ex * ex + ey * ey)
 
 
 def friction(relative: Array, share: Array, power: float) -> Array:
-    """Force per slip of a contact, by its slip relative to the scale; a number or (n,).
+    """Friction force per slip of a contact, from its slip relative to the scale; a number or (n,).
 
     Args:
         relative: slip over `rolled_mean`.
@@ -105,7 +105,7 @@ def friction(relative: Array, share: Array, power: float) -> Array:
 
 
 def raised(size: Array, exponent: float) -> Array:
-    """`size`, a number or (n,), to an exponent of 0.5, 1 or another."""
+    """Power of `size`, a number or (n,); fast for the exponents 0.5 and 1."""
     if exponent == 0.5:
         return np.sqrt(size)
     if exponent == 1.0:
@@ -114,7 +114,7 @@ def raised(size: Array, exponent: float) -> Array:
 
 
 def stiffness(e: Triple, scale: Array, share: Array, power: float) -> tuple[Array, Triple]:
-    """Force per slip of a contact with slip e, and second derivative (xx, xy, yy) of its dissipation."""
+    """Force per slip of a contact with slip e, and second derivative (xx, xy, yy) of the dissipation."""
     relative, length = e[2] / scale, np.maximum(e[2], _LEAST)
     weight = friction(relative, share, power)
     bend = (power - 2.0) * weight * relative / (relative + FRICTION_EPSILON)
@@ -123,9 +123,9 @@ def stiffness(e: Triple, scale: Array, share: Array, power: float) -> tuple[Arra
 
 
 def reweighted(z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float) -> Triple:
-    """Weighted least squares of wheel vectors u (8, ...) with the friction that the contacts have at b.
+    """Weighted least squares of wheel vectors u (8, ...), with weights from the friction at motion b.
 
-    The point about which forces and torques part is the weighted middle of the contacts.
+    Forces and torques decouple about the weighted centre of the contacts.
     """
     total, sx, sy, srr = 0.0 * scale, 0.0 * scale, 0.0 * scale, 0.0 * scale
     fx, fy, ft = 0.0 * scale, 0.0 * scale, 0.0 * scale
@@ -139,7 +139,7 @@ def reweighted(z: Array, u: Array, b: Triple, scale: Array, share: Array, power:
 
 
 def continued(z: Array, u: Array, scale: Array, share: Array, power: float) -> Triple:
-    """Body motion of u (8, ...) near that of least dissipation at exponent `power`, from nothing."""
+    """Body motion of u (8, ...) near least dissipation at exponent `power`, without a start value."""
     b = (0.0 * scale, 0.0 * scale, 0.0 * scale)
     for stage in range(len(_POWERS)):
         if _POWERS[stage] >= power:
@@ -153,9 +153,9 @@ def polished(
 ) -> Triple:
     """Newton steps on the smoothed dissipation of u (8, ...) from a motion b that is already close.
 
-    Each is taken where it lowers the dissipation, half of it where that lowers it more, else nothing. A tie
-    goes to the whole step, so that rounding decides nothing near the minimum; a step next to nothing is the
-    last.
+    Each step is taken in full where that lowers the dissipation, by half where that lowers it more, else not
+    at all. A tie goes to the full step, so that rounding decides nothing near the minimum. A negligible step
+    ends the iteration.
     """
     here = dissipation(z, u, b, scale, share, power)
     for _ in range(steps):
@@ -174,7 +174,7 @@ def polished(
 
 
 def stepped(b: Triple, step: Triple, fraction: Array) -> Triple:
-    """The motion b less a fraction of a step, each number or (n,)."""
+    """The motion b minus `fraction` times a step, each number or (n,)."""
     return b[0] - fraction * step[0], b[1] - fraction * step[1], b[2] - fraction * step[2]
 
 
@@ -207,7 +207,7 @@ def dissipation_slopes(
 
 
 def with_contact(total: Symmetric, contact: Triple, x: Array, y: Array) -> Symmetric:
-    """P_i' C P_i of one more contact at (x, y) with the stiffness C = (xx, xy, yy), added up."""
+    """Sum of `total` and P_i' C P_i for a contact at (x, y) with stiffness C = (xx, xy, yy)."""
     xx, xy, yy = contact
     tx, ty = x * xy - y * xx, x * yy - y * xy
     return (
@@ -221,13 +221,13 @@ def with_contact(total: Symmetric, contact: Triple, x: Array, y: Array) -> Symme
 
 
 def creep_stiffness(ux: Array, uy: Array, scale: Array, load: Array, ratio: float) -> Triple:
-    """Force per slip (xx, xy, yy) in the body frame of a contact whose wheel rolls (ux, uy).
+    """Creep force per slip (xx, xy, yy), body frame, of a contact whose wheel rolls by (ux, uy).
 
-    A wheel that hardly rolls counts as if it rolled a twentieth of the mean, so that it stays finite.
+    A wheel that hardly rolls counts as if it rolled a twentieth of the mean, so that the result stays finite.
 
     Args:
-        ux: way rolled ahead in the body frame, and
-        uy: to the left.
+        ux: displacement ahead in the body frame.
+        uy: displacement to the left.
         scale: `rolled_mean` of all wheels.
         load: relative normal load.
         ratio: sideways over lengthwise creep stiffness.
@@ -241,7 +241,7 @@ def creep_stiffness(ux: Array, uy: Array, scale: Array, load: Array, ratio: floa
 
 
 def creep_balance(z: Array, u: Array, scale: Array, load: Array, ratio: float) -> tuple[Triple, Symmetric]:
-    """Body motion of u (8, ...) at which the creep forces balance, and the inverse (3x3) of their slope."""
+    """Body motion of u (8, ...) at which creep forces balance, and the inverse (3x3) of their stiffness."""
     fx, fy, ft = 0.0 * scale, 0.0 * scale, 0.0 * scale
     slope = (fx, fx, fx, fx, fx, fx)
     for i in range(4):

@@ -7,7 +7,7 @@ u = (v_1 cos d_1, v_1 sin d_1, v_2 cos d_2, ...). Forward models, by name:
 
 * `exact`: least squares, b = pinv(P) u, for any wheel positions.
 * `paper`: the paper's mean velocities and K_i; equals `exact` only for the centred square robot.
-* `dry-friction`, `creep`: wheels that contradict each other slip as their contacts let them
+* `dry-friction`, `creep`: wheels that contradict each other slip by a law of contact
   (`hil.robot.contact_laws`).
 
 SI units; wheel order FL, BL, BR, FR; leading axes of wheel arrays are batch axes.
@@ -48,8 +48,8 @@ class WheelGeometry:
         x_m, y_m: contact points in the body frame.
         radius_m: effective rolling radii.
         steering_zero_rad: subtract it from a measured steering angle to get the wheel's heading.
-        load: normal loads relative to their mean; `dry-friction` and `creep` ask for them.
-        creep_ratio: how stiff the tyres are sideways, as a share of lengthwise; only `creep` asks for it.
+        load: normal loads relative to their mean; used by `dry-friction` and `creep`.
+        creep_ratio: sideways over lengthwise creep stiffness of the tyres; used by `creep` only.
     """
 
     x_m: Array
@@ -70,7 +70,7 @@ class WheelGeometry:
                 expected="none negative, some positive",
             )
         if np.linalg.matrix_rank(self.projection()) < 3:
-            raise UsageError("all wheels stand in one point: the turn rate cannot be seen")
+            raise UsageError("all wheels are at one point: the turn rate cannot be measured")
 
     @classmethod
     def nominal(cls) -> WheelGeometry:
@@ -80,20 +80,20 @@ class WheelGeometry:
 
     @classmethod
     def from_vector(cls, z: ArrayLike) -> WheelGeometry:
-        """Geometry of a parameter vector (12,) or (16,): x, y, radius and, if there, steering zeros."""
+        """Geometry of a parameter vector (12,) or (16,): x, y, radius and, in the latter, steering zeros."""
         v = np.asarray(z, dtype=np.float64)
         return cls(v[0:4], v[4:8], v[8:12], v[12:16] if v.size == 16 else np.zeros(4))
 
     def with_vector(self, z: ArrayLike) -> WheelGeometry:
-        """Another parameter vector (12,) or (16,) on the same tyres under the same load."""
+        """Geometry of another parameter vector (12,) or (16,), with the same tyres and loads."""
         return self.from_vector(z).with_tyres(self.load, self.creep_ratio)
 
     def with_tyres(self, load: ArrayLike, creep_ratio: float) -> WheelGeometry:
-        """The same wheels under other loads (4,), on other tyres."""
+        """The same wheels with other loads (4,) and another creep ratio."""
         return replace(self, load=_four(load), creep_ratio=creep_ratio)
 
     def tyres(self) -> dict[str, object]:
-        """Loads and creep ratio as plain data, as files keep them and `with_tyres` takes them."""
+        """Loads and creep ratio as plain data, for files; keyword arguments of `with_tyres`."""
         return {"load": self.load.tolist(), "creep_ratio": self.creep_ratio}
 
     def vector(self) -> Array:
@@ -101,7 +101,7 @@ class WheelGeometry:
         return np.concatenate([self.x_m, self.y_m, self.radius_m, self.steering_zero_rad])
 
     def to_json(self) -> dict[str, list[float]]:
-        """The parameters by the names that files and results give them, each (4,), m and rad."""
+        """The parameters under their names in files and results, each (4,), m and rad."""
         return {
             "x_w_m": self.x_m.tolist(),
             "y_w_m": self.y_m.tolist(),
@@ -110,7 +110,7 @@ class WheelGeometry:
         }
 
     def projection(self) -> Array:
-        """P, shape (8, 3), read only: rows (v_x, v_y) of wheels 1..4 in turn."""
+        """P, shape (8, 3), read-only: rows (v_x, v_y) of wheels 1..4 in turn."""
         return self._projection
 
     @cached_property
@@ -121,7 +121,7 @@ class WheelGeometry:
 
 
 def projection(x_m: ArrayLike, y_m: ArrayLike) -> Array:
-    """P (8, 3) of contact points (4,), (4,): wheel vectors of a body twist."""
+    """P (8, 3) for contact points x (4,), y (4,): maps a body twist to wheel vectors."""
     p = np.zeros((8, 3))
     p[0::2, 0] = 1.0
     p[1::2, 1] = 1.0
@@ -140,9 +140,9 @@ def wheel_vectors(speed_m_s: ArrayLike, heading_rad: ArrayLike) -> Array:
 
 
 def inverse(geometry: WheelGeometry, twist_body: ArrayLike) -> tuple[Array, Array]:
-    """Wheel speeds (..., 4) m/s, never negative, and measured steering angles (..., 4) rad of a twist.
+    """Wheel speeds (..., 4) m/s, never negative, and steering angles (..., 4) rad for twists (..., 3).
 
-    The steering angle of a wheel at rest is its zero. Twists have shape (..., 3).
+    The angles include the steering zeros, as measured angles do. A wheel at rest gets its zero.
     """
     u = np.asarray(twist_body, dtype=np.float64).dot(geometry.projection().T)
     ux, uy = u[..., 0::2], u[..., 1::2]
@@ -152,10 +152,10 @@ def inverse(geometry: WheelGeometry, twist_body: ArrayLike) -> tuple[Array, Arra
 def forward(
     geometry: WheelGeometry, wheel_speed_m_s: ArrayLike, steering_rad: ArrayLike, model: str = "exact"
 ) -> Array:
-    """Body twist (..., 3) of signed wheel speeds (..., 4) m/s and measured steering angles (..., 4) rad.
+    """Body twist (..., 3) from signed wheel speeds (..., 4) m/s and measured steering angles (..., 4) rad.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         wheel_speed_m_s: (..., 4) signed rolling speeds, m/s.
         steering_rad: (..., 4) measured steering angles, rad.
         model: name of the forward model.
@@ -165,10 +165,10 @@ def forward(
 
 
 def twist_of_vectors(geometry: WheelGeometry, u: Array, model: str = "exact") -> Array:
-    """Body motion (..., 3) of wheel vectors (..., 8), m/s or m per step alike.
+    """Body motion (..., 3) from wheel vectors (..., 8), in m/s or in m per step.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         u: (..., 8) wheel vectors.
         model: name of the forward model.
     """
@@ -191,7 +191,7 @@ def forward_matrix(x_m: ArrayLike, y_m: ArrayLike, model: str = "exact") -> Arra
         model: `exact` or `paper`.
 
     Raises:
-        UsageError: for another model's name.
+        UsageError: another model.
     """
     x, y = np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64)
     if model == "exact":

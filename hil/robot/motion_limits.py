@@ -1,4 +1,4 @@
-"""Checks that a robot can follow a trajectory, before anything moves."""
+"""Checks, before anything moves, that a robot can follow a trajectory."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from hil.robot.trajectories import Trajectory
 
 _CHECK_STEP_S = 0.01
 _LEAST_TIMES = 32
-"""At how many times a segment is looked at that the step would give fewer of."""
+"""Least number of sample times per segment; short segments get additional ones."""
 _LONGEST_S = 7200.0
 _AT_ONCE = 20000
 _SLACK = 1.0 + 1e-6
 _MARGIN = 1e-3
 _OTHERWISE = "change the shape of the motion"
 _OF_WHEELS = 2
-"""The first limits that are held are those of the wheels: speed and acceleration."""
+"""Number of leading limits that belong to the wheels: speed and acceleration."""
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What a reference is held against before anything moves.
+    """Limits that a trajectory must respect at every time.
 
     Attributes:
         wheel_speed_m_s, wheel_acceleration_m_s2: per wheel.
-        heading_limit_rad: of the heading while on a wall, None on the floor.
-        x_range_m, y_range_m: the usable wall, None for no bound.
+        heading_limit_rad: largest heading on a wall, either side; None on the floor.
+        x_range_m, y_range_m: usable part of the wall; None for no bound.
     """
 
     wheel_speed_m_s: float = 0.122
@@ -45,16 +45,16 @@ class MotionLimits:
 def check(
     trajectory: Trajectory, projection: Array, limits: MotionLimits, *, known: Trajectory | None = None
 ) -> None:
-    """Refuse a trajectory that the limits cannot follow.
+    """Refuse a trajectory that exceeds a limit.
 
     Args:
-        trajectory: what is asked for.
+        trajectory: trajectory to check.
         projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
-        limits: what must hold at every time.
-        known: held against these limits before: the segments that both end with are not looked at again.
+        limits: limits that must hold at every time.
+        known: trajectory already checked against these limits; segments that both end with are skipped.
 
     Raises:
-        TrajectoryError: with the first offending time and value.
+        TrajectoryError: with the first time at which a limit is exceeded, and the value.
     """
     if not trajectory.duration_s <= _LONGEST_S:
         raise TrajectoryError(
@@ -72,13 +72,13 @@ def check(
 
 
 def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, at_most: float) -> Trajectory:
-    """The same way, driven as much slower as the wheels need to keep to their speed and acceleration.
+    """The same path, slowed as far as the wheels need to keep to their speed and acceleration limits.
 
     Args:
-        trajectory: what is asked for.
+        trajectory: requested trajectory.
         projection: P (8, 3) of the wheels.
-        limits: of which those of the wheels count here.
-        at_most: how many times as long it may take; what needs longer stays as it is, for `check` to refuse.
+        limits: only the wheel limits are used.
+        at_most: largest factor on the duration; beyond it the trajectory is unchanged and `check` refuses it.
     """
     longer = _times_as_long(trajectory, projection, limits)
     if longer <= 1.0 or not longer <= at_most:
@@ -89,7 +89,7 @@ def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, a
 
 
 def _times_as_long(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> float:
-    """How many times as long the way must take for the wheels to keep to their speed and acceleration."""
+    """Factor on the duration at which the wheels just keep to their speed and acceleration limits."""
     pose, twist, pull = trajectory.sample_many(_times_s(trajectory, trajectory.duration_s))
     speed, acceleration = (
         q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:_OF_WHEELS]
@@ -98,13 +98,13 @@ def _times_as_long(trajectory: Trajectory, projection: Array, limits: MotionLimi
 
 
 def _times_s(trajectory: Trajectory, until_s: float) -> Array:
-    """Times to look at, in order: equal steps, and more within the segments that are short beside them.
+    """Sample times in rising order: equal steps, and additional ones within short segments.
 
-    A short segment may be at rest at both of its ends, or lie between two steps.
+    A short segment may start and end at rest, or lie between two steps.
 
     Args:
-        trajectory: what is looked at.
-        until_s: up to which time.
+        trajectory: trajectory to sample.
+        until_s: last time, s.
     """
     steps_s = np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S)
     short, begin_s = [], 0.0
@@ -122,14 +122,14 @@ def _times_s(trajectory: Trajectory, until_s: float) -> Array:
 
 
 def _new_s(trajectory: Trajectory, known: Trajectory) -> float:
-    """How long it takes until the segments come, the very same ones, that `known` ends with as well."""
+    """Time, s, until the final segments that `trajectory` shares with `known` (the same objects) begin."""
     pairs = zip(reversed(trajectory.segments), reversed(known.segments), strict=False)
     shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], pairs))
     return sum(part.duration_s for part in trajectory.segments[: len(trajectory.segments) - shared])
 
 
 def _check(trajectory: Trajectory, times_s: Array, projection: Array, limits: MotionLimits) -> None:
-    """Refuse the first of these times at which a limit does not hold, or the reference is no number."""
+    """Refuse the first of the times at which a limit is exceeded or the reference is not finite."""
     pose, twist, pull = trajectory.sample_many(times_s)
     finite = np.isfinite(pose).all(axis=1) & np.isfinite(twist).all(axis=1)
     known = len(times_s) if finite.all() else int(np.argmin(finite))
@@ -154,7 +154,7 @@ def _check(trajectory: Trajectory, times_s: Array, projection: Array, limits: Mo
 
 
 def _slower(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> str:
-    """How long a motion must last at least whose wheels are too quick, where that can be said."""
+    """Remedy for too fast wheels: the least duration, where one exists."""
     lasts_s = trajectory.duration_s
     takes_s = _times_as_long(trajectory, projection, limits) * lasts_s
     if not (math.isfinite(takes_s) and takes_s > 0.0):
@@ -164,7 +164,7 @@ def _slower(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> 
 
 
 class _Held(NamedTuple):
-    """What must not exceed a limit: values (n,) over time."""
+    """A limited quantity: values (n,) over time, and the limit."""
 
     name: str
     values: Array
@@ -172,14 +172,14 @@ class _Held(NamedTuple):
 
 
 def _held(pose: Array, twist: Array, pull: Array, projection: Array, limits: MotionLimits) -> list[_Held]:
-    """The quantities that have limits, in the order in which they are reported.
+    """The limited quantities, in the order in which they are reported.
 
     Args:
         pose: (n, 3) in the wall frame.
         twist: (n, 3) in the body frame.
         pull: (n, 3) accelerations in wall axes.
         projection: P (8, 3) of the wheels.
-        limits: what must hold.
+        limits: limits to apply.
     """
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     ahead, left = c * pull[:, 0] + s * pull[:, 1], c * pull[:, 1] - s * pull[:, 0]
@@ -198,6 +198,6 @@ def _held(pose: Array, twist: Array, pull: Array, projection: Array, limits: Mot
 
 
 def _fastest(motion: Array, projection: Array) -> Array:
-    """Largest of the four wheel vectors of body motions (n, 3): (n,)."""
+    """Largest of the four wheel speeds (or accelerations), (n,), of body motions (n, 3)."""
     wheels = motion @ projection.T
     return np.asarray(np.hypot(wheels[:, 0::2], wheels[:, 1::2]).max(axis=1), dtype=np.float64)

@@ -1,8 +1,8 @@
 """Odometry: integrating body motion to a pose, and the paper's state-space model with derivatives.
 
-The paper's model has 11 states (x, y, theta, phi_1..4, delta_1..4) and 8 inputs (v_1..4, steering
-rates 1..4), arXiv 2509.04016. The bench does not use it: it is for those who hold an estimator or a
-controller of their own against the paper. SI units; poses in the frame of the start pose.
+The paper's model has 11 states (x, y, theta, phi_1..4, delta_1..4) and 8 inputs (v_1..4, steering rates
+1..4), arXiv 2509.04016. The bench does not use it; it serves to compare your own estimator or controller with
+the paper. SI units; poses in the frame of the start pose.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ INTEGRATORS = ("exponential", "euler")
 
 
 def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "exponential") -> Array:
-    """Poses (..., n + 1, 3) from body displacements (..., n, 3) per step, the start included.
+    """Integrate body displacements (..., n, 3) to poses (..., n + 1, 3), the start included.
 
     Args:
         start_pose: (..., 3) m, m, rad.
@@ -45,7 +45,7 @@ def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "expo
 
 
 def displacements(poses: Array) -> Array:
-    """Body displacements (n, 3) of constant twist that lead from each of the poses (n + 1, 3) to the next."""
+    """Body displacements (n, 3) of constant twist from each of the poses (n + 1, 3) to the next."""
     way = np.diff(poses, axis=0)
     turn = wrap_array(way[:, 2])
     c, s = chord(poses[:-1, 2], turn)
@@ -55,7 +55,7 @@ def displacements(poses: Array) -> Array:
 
 
 def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Array:
-    """Poses (n, 3) at any instants on a path of constant body twist between its edges.
+    """Poses (n, 3) at arbitrary instants on a path with constant body twist between its edges.
 
     Args:
         at_s: (n,) instants, s.
@@ -75,11 +75,11 @@ def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Arr
 
 
 def chord(heading: Array, turn: Array) -> tuple[Array, Array]:
-    """Cosine and sine of a step's chord, times its length over that of the arc; numbers or (n,).
+    """Cosine and sine of the direction of a step's chord, times chord over arc length; numbers or (n,).
 
     Args:
-        heading: at the start of the step, rad.
-        turn: within the step, rad.
+        heading: heading at the start of the step, rad.
+        turn: turn within the step, rad.
     """
     half = 0.5 * turn
     length = np.sinc(half / np.pi)
@@ -87,10 +87,10 @@ def chord(heading: Array, turn: Array) -> tuple[Array, Array]:
 
 
 def chord_slopes(heading: Array, step: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """How the way (x, y) of a step changes with its own turn, the heading after it held fixed.
+    """Derivatives of a step's displacement (x, y) by its turn, at a fixed heading after the step.
 
-    With a heading after the step that changes by t and a turn that changes by d, the way changes by these two
-    times d and by the way itself, turned a quarter to the left, times t.
+    If the heading after the step changes by t and the turn by d, the displacement changes by these
+    derivatives times d, plus the displacement rotated by a quarter turn to the left times t.
 
     Args:
         heading: at the start of the step, rad.
@@ -108,14 +108,14 @@ def chord_slopes(heading: Array, step: tuple[Array, Array, Array]) -> tuple[Arra
 def integrate_with_jacobian(
     start_pose: ArrayLike, motion_body: Array, motion_jacobian: Array
 ) -> tuple[Array, Array]:
-    """Poses (..., n + 1, 3) by SE(2) exponential and their derivatives (3, m, ..., n) by m parameters.
+    """Poses (..., n + 1, 3) by SE(2) exponential, and derivatives (3, m, ..., n) by m parameters.
 
-    The start has none and is left out of the derivatives.
+    The start has no derivative and is left out of the derivatives.
 
     Args:
         start_pose: (..., 3), taken as independent of the parameters.
         motion_body: (..., n, 3) displacement per step.
-        motion_jacobian: (3, m, ..., n).
+        motion_jacobian: (3, m, ..., n) derivatives of `motion_body`.
     """
     poses = integrate(start_pose, motion_body)
     heading, (dx, dy, turn) = poses[..., :-1, 2], np.moveaxis(motion_body, -1, 0)
@@ -135,10 +135,9 @@ def state_derivative(
     """Time derivative (11,) of the paper's state (11,) under inputs (8,).
 
     State (x, y, theta, phi_1..4, delta_1..4); inputs (v_1..4 m/s, steering rates 1..4 rad/s).
-    `model` is `exact` or `paper`.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         state: (11,) pose in the wall frame (m, rad), wheel angles and steering angles (rad).
         inputs: (8,) rolling speeds (m/s) and steering rates (rad/s).
         model: `exact` or `paper`.
@@ -156,7 +155,7 @@ def state_jacobian(
     """Derivative (11, 11) of `state_derivative` by the state.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         state: (11,), as for `state_derivative`.
         inputs: (8,), likewise.
         model: `exact` or `paper`.
@@ -176,10 +175,10 @@ def state_jacobian(
 
 
 def input_jacobian(geometry: WheelGeometry, state: ArrayLike, model: str = "exact") -> Array:
-    """Derivative (11, 8) of `state_derivative` by the inputs; it does not depend on them.
+    """Derivative (11, 8) of `state_derivative` by the inputs; it does not depend on the inputs.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel parameters.
         state: (11,), as for `state_derivative`.
         model: `exact` or `paper`.
     """

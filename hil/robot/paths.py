@@ -1,8 +1,7 @@
-"""Paths and time laws: the stretches that a trajectory is a chain of, one time or many times at once.
+"""Paths and time laws: the segments of a trajectory, evaluated at one time or at many times at once.
 
 A segment is a path over s in [0, 1] and a time law: `quintic` (s = 10 u^3 - 15 u^4 + 6 u^5, at rest at both
-ends) or `constant` (the step profile of the public recordings).
-SI units.
+ends) or `constant` (the step profile of the public recordings). SI units.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ _STRAIGHT_ON: Pose = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Straight:
-    """Path that changes x, y and heading in proportion to s, between two poses (x m, y m, theta rad)."""
+    """Straight path: x, y and heading linear in s between two poses (x m, y m, theta rad)."""
 
     start: Pose
     end: Pose
 
     def __call__(self, s: float) -> tuple[Pose, Pose, Pose]:
-        """Pose, its first and its second derivative by s."""
+        """Pose at s, and its first and second derivatives by s."""
         (x, y, theta), (dx, dy, turn) = self.start, self._way
         return (x + s * dx, y + s * dy, theta + s * turn), self._way, _STRAIGHT_ON
 
     @cached_property
     def _way(self) -> Pose:
-        """From the first pose to the last."""
+        """Difference between the last and the first pose."""
         (x, y, theta), (to_x, to_y, to_theta) = self.start, self.end
         return (to_x - x, to_y - y, to_theta - theta)
 
@@ -55,7 +54,7 @@ class Arc:
     tangent: bool = True
 
     def __call__(self, s: float) -> tuple[Pose, Pose, Pose]:
-        """Pose, its first and its second derivative by s."""
+        """Pose at s, and its first and second derivatives by s."""
         x, y, theta = self.start
         side, w = math.copysign(1.0, self.angle_rad), abs(self.angle_rad)
         a = w * s
@@ -68,20 +67,20 @@ class Arc:
 
     @cached_property
     def _turn(self) -> Array:
-        """From the circle's axes, its radius for a unit, to those of the wall."""
+        """Matrix (2, 2) from axes of the start heading to wall axes, times the radius."""
         return rotation2(self.start[2]) * self.radius_m
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One stretch: a path over s in [0, 1], how long it takes, and how s runs."""
+    """A path over s in [0, 1], its duration, and its time law."""
 
     path: Straight | Arc
     duration_s: float
     law: TimeLaw = "quintic"
 
     def at(self, t_s: float) -> tuple[Pose, Pose, Pose]:
-        """Pose, velocity and acceleration, in wall axes, at a time within the segment."""
+        """Pose, velocity and acceleration in wall axes at a time within the segment."""
         u = t_s / self.duration_s
         u = 0.0 if u < 0.0 else 1.0 if u > 1.0 else u
         if self.law == "quintic":
@@ -95,17 +94,17 @@ class Segment:
 
 
 def _quintic(u: _Number, duration_s: _Number) -> tuple[_Number, _Number, _Number]:
-    """How s runs from rest to rest: s and its derivatives by time, at the part u of the duration."""
+    """Quintic time law: s and its first two time derivatives at fraction u of the duration."""
     s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     ds = 30.0 * u**2 * (1.0 - u) ** 2 / duration_s
     return s, ds, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / duration_s**2
 
 
 class Chain:
-    """Segments one after the other as arrays: what `Segment.at` says, for many times at once.
+    """Consecutive segments as arrays, to evaluate `Segment.at` at many times at once.
 
     Attributes:
-        durations_s: (m,) of the segments.
+        durations_s: (m,) durations of the segments.
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
@@ -120,11 +119,11 @@ class Chain:
         self._arcs = np.array(arcs, dtype=np.float64).reshape(-1, 6)
 
     def at(self, k: Ints, t_s: Array) -> tuple[Array, Array, Array]:
-        """Pose, velocity and acceleration, (n, 3) each, in wall axes.
+        """Pose, velocity and acceleration in wall axes, (n, 3) each.
 
         Args:
-            k: (n,) which segment; one more than the last stands for the rest after it.
-            t_s: (n,) time within it, not negative.
+            k: (n,) index of the segment; the number of segments stands for the rest after the last one.
+            t_s: (n,) time within the segment, not negative.
         """
         over = k == len(self.durations_s)
         k = np.where(over, k - 1, k)
@@ -137,7 +136,7 @@ class Chain:
         return pose, first * ds, second * ds**2 + first * dds
 
     def _along(self, k: Ints, s: Array) -> tuple[Array, Array, Array]:
-        """Poses (n, 3) on the paths k at s (n, 1), with their first and their second derivatives by s."""
+        """Poses (n, 3) on the paths k at s (n, 1), and their first and second derivatives by s."""
         pose, first, second = np.zeros((3, len(k), 3))
         bent, row = self._bent[k], self._row[k]
         start, end = self._straights[row[~bent]].transpose(1, 0, 2)
@@ -149,7 +148,7 @@ class Chain:
 
 
 def _along_arcs(arcs: Array, s: Array) -> tuple[Array, Array, Array]:
-    """What `Arc` says, (n, 3) each, for rows (n, 6) of x, y, theta, radius, angle, tangent and s (n, 1)."""
+    """`Arc` for many rows (n, 6) of x, y, theta, radius, angle, tangent, at s (n, 1); (n, 3) each."""
     _, _, theta, radius_m, angle_rad, tangent = arcs.T
     side, w = np.copysign(1.0, angle_rad), np.abs(angle_rad)
     turn, c, d = tangent * side, radius_m * np.cos(theta), radius_m * np.sin(theta)

@@ -1,8 +1,8 @@
-"""Statics of a robot that is pressed on a surface: loads of its wheels, their friction, and what it needs.
+"""Statics of a robot pressed on a surface: wheel loads, friction, and the fan force that it needs.
 
-Forces in body axes; the surface's own axes have X up the wall. Tyres carry the tangential load as creeping
-tyres do, each in proportion to what presses it: a wheel's share of the friction that it has then does not
-depend on how stiff the tyres are.
+Forces in body axes; the surface's own axes have X up the wall. The tyres carry the tangential load as
+creeping tyres do, each in proportion to its normal load. The share of its friction that a wheel uses then
+does not depend on the stiffness of the tyres.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ Four = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Statics:
-    """A robot on a surface.
+    """A robot pressed on a surface: geometry, mass, tilt and friction.
 
     Attributes:
         wheel_x_m, wheel_y_m: (4,) contact points in the body.
-        mass_kg, centre_of_mass_m: as on paper; x, y, height above the surface.
-        propeller_height_m: at which the propellers push.
+        mass_kg, centre_of_mass_m: nominal values; x, y, height above the surface.
+        propeller_height_m: height at which the propellers push.
         tilt_rad: 0 floor, pi/2 wall, more overhangs.
-        friction: coefficient of tyre on surface.
+        friction: coefficient of friction between tyre and surface.
     """
 
     wheel_x_m: Four
@@ -43,13 +43,13 @@ class Statics:
         object.__setattr__(self, "_spread", tuple(tuple(row) for row in spread.tolist()))
 
     def _tangential_n(self, thrust_n: float, heading_rad: float) -> tuple[float, float, float, float]:
-        """Weight along the surface, body x and y, and the same with the propellers' push."""
+        """Tangential weight along body x and y, N, and the same with the propellers' thrust added."""
         along_n = self.mass_kg * GRAVITY_M_S2 * math.sin(self.tilt_rad)
         weight_x, weight_y = -along_n * math.cos(heading_rad), along_n * math.sin(heading_rad)
         return weight_x, weight_y, weight_x + thrust_n, weight_y
 
     def _moments(self, thrust_n: float, heading_rad: float) -> tuple[float, float]:
-        """What weight and propellers press, times how far ahead and to the left of the body's origin, N m."""
+        """Moments of weight and propellers about the body's origin, N m: force times lever ahead, left."""
         x_m, y_m, height_m = self.centre_of_mass_m
         weight_x, weight_y, _, _ = self._tangential_n(thrust_n, heading_rad)
         about_y = self._press_n * x_m + height_m * weight_x + self.propeller_height_m * thrust_n
@@ -57,11 +57,11 @@ class Statics:
 
     @property
     def _press_n(self) -> float:
-        """What presses beside the fan: the weight's part towards the surface."""
+        """Component of the weight towards the surface, N."""
         return self.mass_kg * GRAVITY_M_S2 * math.cos(self.tilt_rad)
 
     def loads_n(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
-        """Normal load of each wheel, (4,); a wheel does not pull, and the others carry what it would have."""
+        """Normal load of each wheel, (4,), N; wheels cannot pull, so negative loads go to the others."""
         total_n = force_n + self._press_n
         about_y, about_x = self._moments(thrust_n, heading_rad)
         loads = [a * total_n + b * about_y + c * about_x for a, b, c in self._spread]
@@ -72,12 +72,12 @@ class Statics:
         return [share * n for n in carried]
 
     def utilisation(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
-        """Share of its friction that each wheel uses, (4,); 1 slides, `inf` where nothing presses.
+        """Share of its friction that each wheel uses, (4,); 1 slides, `inf` where nothing presses it.
 
         Args:
-            force_n: of the fan, towards the surface.
-            thrust_n: of the propellers, along body x.
-            heading_rad: of the body on the surface.
+            force_n: force of the fan towards the surface.
+            thrust_n: thrust of the propellers along body x.
+            heading_rad: heading of the body on the surface.
         """
         loads = self.loads_n(force_n, thrust_n, heading_rad)
         weight_x, weight_y, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
@@ -96,18 +96,18 @@ class Statics:
         return [math.hypot(ux - turn * y, uy + turn * x) / self.friction for x, y in places]
 
     def friction_used(self, force_n: float, thrust_n: float, heading_rad: float) -> float:
-        """Tangential over normal force of the whole robot: the friction of a surface where it just slides."""
+        """Tangential over normal force of the robot: the friction coefficient at which it just slides."""
         _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
         return math.hypot(push_x, push_y) / (force_n + self._press_n)
 
     def needed_n(self, thrust_n: float, heading_rad: float) -> float:
-        """Force of the fan below which the robot slides, or tips over the line between two wheels."""
+        """Least fan force, N, at which the robot neither slides nor tips over a line between two wheels."""
         _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
         holds_n = math.hypot(push_x, push_y) / self.friction
         return max(holds_n - self._press_n, self._stands_n(thrust_n, heading_rad) - self._press_n, 0.0)
 
     def _stands_n(self, thrust_n: float, heading_rad: float) -> float:
-        """What has to press in all, so that it acts between the wheels; `inf` where no force does."""
+        """Least total normal force, N, that acts between the wheels; `inf` where no force does."""
         about_y, about_x = self._moments(thrust_n, heading_rad)
         corners = list(zip(self.wheel_x_m, self.wheel_y_m, strict=True))
         least_n = 0.0
@@ -121,7 +121,7 @@ class Statics:
         return least_n
 
     def force_for_n(self, utilisation: float, thrust_n: float, heading_rad: float) -> float:
-        """Least force of the fan that holds, with no wheel above this share of its friction; `inf`: none."""
+        """Least force of the fan, N, that holds with every wheel at most at this utilisation; `inf`: none."""
         least_n = force_n = max(self.needed_n(thrust_n, heading_rad), 1.0)
         for _ in range(_ROUNDS):
             if not math.isfinite(force_n):

@@ -1,8 +1,7 @@
-"""References: where the robot should be at a time.
+"""Trajectories: the reference pose of the robot over time.
 
 A trajectory is a chain of segments (`hil.robot.paths`). Wall frame: X up the wall, Y to the left; heading
-about the wall normal.
-SI units.
+about the wall normal. SI units.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from hil.core.signals import Reference
 from hil.robot.paths import Arc, Chain, Ints, Pose, Segment, Straight, TimeLaw
 
 _STRIDE = 64
-"""Segments that are walked through one by one to find one; sets of these are found by bisection."""
+"""Segments per stride: a stride is found by bisection, the segment within it one by one."""
 
 QUINTIC_PEAK_SPEED = 1.875
 QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
@@ -31,7 +30,7 @@ QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A chain of segments, held at its last pose afterwards."""
+    """A chain of segments; afterwards the reference stays at the last pose."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -43,12 +42,12 @@ class Trajectory:
 
     @cached_property
     def _strides(self) -> list[float]:
-        """When every 64th segment begins, s. So a long chain costs no more at its end than at its start."""
+        """Start time, s, of every 64th segment, so that sampling costs the same along a long chain."""
         begins_s = [0.0, *accumulate(segment.duration_s for segment in self.segments)]
         return begins_s[: len(self.segments) : _STRIDE]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain data from which `from_mapping` builds the same trajectory, bit for bit."""
+        """Plain data from which `from_mapping` restores the same trajectory exactly."""
         segments = [
             {
                 "kind": type(part.path).__name__.lower(),
@@ -62,7 +61,7 @@ class Trajectory:
 
     @classmethod
     def from_mapping(cls, data: Mapping[str, Any]) -> Trajectory:
-        """The inverse of `to_mapping`; raises `UsageError` for anything else."""
+        """Trajectory from the data of `to_mapping`; raises `UsageError` for anything else."""
         try:
             made = cls(str(data["name"]), tuple(_segment(part) for part in data["segments"]))
             made.sample(0.0)
@@ -71,7 +70,7 @@ class Trajectory:
         return made
 
     def sample(self, t_s: float) -> Reference:
-        """Reference at a time; the twist is in the reference's body frame."""
+        """Reference at time `t_s`; the twist is in the reference's body frame."""
         stride = max(bisect_right(self._strides, t_s) - 1, 0)
         left = t_s - self._strides[stride]
         for k in range(stride * _STRIDE, len(self.segments)):
@@ -86,14 +85,14 @@ class Trajectory:
         return _reference(t_s, pose, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), True)
 
     def sample_many(self, times_s: ArrayLike) -> tuple[Array, Array, Array]:
-        """What `sample` says at each of many times, but for rounding, at a twentieth of its cost.
+        """`sample` for many times, equal up to rounding, at a twentieth of the cost.
 
         Args:
             times_s: (n,) times.
 
         Returns:
             Poses in the wall frame, twists in the reference's body frame and accelerations in wall axes,
-            (n, 3) each; where a segment holds what is no number, so do they.
+            (n, 3) each; not finite where the segment is not finite.
         """
         t_s = np.asarray(times_s, dtype=np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -108,7 +107,7 @@ class Trajectory:
         return Chain(self.segments)
 
     def _places(self, times_s: Array) -> tuple[Ints, Array]:
-        """Which segment, (n,), and the time within it, (n,), both as `sample` finds them, to the last bit."""
+        """Index of the segment (n,) and the time within it (n,), bit for bit as in `sample`."""
         strides, durations_s = np.array(self._strides), np.append(self._chain.durations_s, math.inf)
         stride = np.maximum(np.searchsorted(strides, times_s, side="right") - 1, 0)
         k, left = stride * _STRIDE, times_s - strides[stride]
@@ -136,7 +135,7 @@ def _pose(value: ArrayLike) -> Pose:
 
 
 def _checked(value: ArrayLike, name: str) -> Array:
-    """Check a given pose (3,); raises `UsageError` for anything else."""
+    """The value as a pose (3,); raises `UsageError` for anything else."""
     try:
         found = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -150,7 +149,7 @@ def _checked(value: ArrayLike, name: str) -> Array:
 
 @lru_cache(maxsize=4)
 def _into_body(heading_rad: float) -> Array:
-    """(2, 2), read only, takes wall vectors to the body; along most paths the heading stays as it is."""
+    """Rotation (2, 2) from wall to body axes, read-only; cached, since the heading is often constant."""
     turn = rotation2(-heading_rad)
     turn.setflags(write=False)
     return turn
@@ -163,7 +162,7 @@ def _reference(t_s: float, pose: Pose, velocity: Pose, acceleration: Pose, done:
 
 
 def _duration(length: float, turn_rad: float, speed: float, acceleration: float, law: TimeLaw) -> float:
-    """Time for a stretch within peak wheel speed and acceleration; a turn counts by its wheel path."""
+    """Duration of a segment within peak wheel speed and acceleration; a turn counts by the CAD lever."""
     check_number(speed, "speed_m_s", "m/s", above_zero=True)
     check_number(acceleration, "acceleration_m_s2", "m/s^2", above_zero=True)
     path = length + abs(turn_rad) * math.hypot(0.1125, 0.1125)
@@ -184,20 +183,19 @@ def line(
     law: TimeLaw = "quintic",
     name: str = "line",
 ) -> Trajectory:
-    """Straight line between two poses (3,) in the wall frame (m, m, rad), heading changing along with it.
+    """Straight line between two poses (3,) in the wall frame (m, m, rad); the heading changes linearly.
 
     Args:
         start: first pose.
         end: last pose.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
-        duration_s: overrides what the limits would need (and is checked later).
+        duration_s: replaces the duration from the limits (and is checked later).
         law: `quintic` or `constant`.
         name: shown in results.
 
     Raises:
-        UsageError: what is no pose, poses that do not differ, or a duration, speed or acceleration that is
-            not above 0.
+        UsageError: an invalid pose, two equal poses, or a duration, speed or acceleration not above 0.
     """
     if duration_s is not None:
         check_number(duration_s, "duration_s", "s", above_zero=True)
@@ -221,7 +219,7 @@ def rotation(
 
     Args:
         start: first pose, (3,) m, m, rad.
-        angle_rad: how far.
+        angle_rad: angle to turn by.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
         law: `quintic` or `constant`.
@@ -247,8 +245,8 @@ def circle(
 
     Args:
         start: first pose, (3,) m, m, rad.
-        radius_m: of the circle.
-        turns: how many; negative is clockwise.
+        radius_m: radius of the circle.
+        turns: number of turns; negative is clockwise.
         tangent: whether the heading turns with the path.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
@@ -277,15 +275,15 @@ def scan(
 
     Args:
         start: first pose, (3,) m, m, rad.
-        length_m: of a lane.
-        lanes: how many.
-        spacing_m: between neighbouring lanes.
+        length_m: length of a lane.
+        lanes: number of lanes.
+        spacing_m: distance between neighbouring lanes.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
         name: shown in results.
 
     Raises:
-        UsageError: no lane.
+        UsageError: fewer than one lane.
     """
     if lanes < 1:
         raise UsageError(f"a scan of {lanes} lanes", expected="at least 1")
@@ -304,7 +302,7 @@ def through(
     acceleration_m_s2: float = 0.2,
     name: str = "waypoints",
 ) -> Trajectory:
-    """Straight quintic segments through poses, at rest at each.
+    """Straight quintic segments through poses, at rest at each pose.
 
     Args:
         poses: (3,) each, (x m, y m, theta rad) in the wall frame.
@@ -325,7 +323,7 @@ def through(
 
 
 def recorded_motion(name: str) -> Trajectory:
-    """The public recordings' motions: constant speed with a step start (arXiv 2509.04016).
+    """Motion of the public recordings by name: constant speed, step start (arXiv 2509.04016).
 
     Raises:
         UsageError: another name.

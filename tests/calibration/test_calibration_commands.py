@@ -112,7 +112,7 @@ def test_another_model_or_signal_than_the_calibrations_is_warned_of(data, fitted
     assert signal.startswith("--signal velocity: the calibration was fitted with the signal position")
     assert other["model"] == "dry-friction"
     (twist,), table = warned("--deploy", "twist", "--model", "dry-friction")
-    assert twist.startswith("--model dry-friction has no say with --deploy twist")
+    assert twist.startswith("--model dry-friction has no effect with --deploy twist")
     assert table["model"] == "exact"
 
 

@@ -1,9 +1,9 @@
-"""The sensors of the filter, one module each, and the kernels that the event loop calls for any of them.
+"""The sensors of the filter, one module each, and the kernels through which the event loop calls them.
 
-To add a sensor write a module that defines what `hil.estimator.sensors.sensor.Sensor` lists, put it at the
-end of `SENSORS` and give it a line in each function below. Its number is its place there, from 1: events of
-one stamp are taken in this order. Of memory `m`, event row `row` and parameters `par` a sensor is given its
-own part.
+To add a sensor, write a module that defines what `hil.estimator.sensors.sensor.Sensor` lists, append it to
+`SENSORS` and add a branch to each function below. Its number is its position in `SENSORS`, from 1; events
+with the same stamp are processed in this order. A sensor receives only its own part of memory `m`, event row
+`row` and parameters `par`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from hil.support.numba_jit import inner
 SENSORS: tuple[Sensor, ...] = (wheels, gyro, tracker, mocap)
 
 MARK = 0
-"""Number of an event that is no sample: the start, or a cycle's end."""
+"""Number of an event without a sample: the start, or the end of a cycle."""
 NUMBERS = {sensor.NAME: number for number, sensor in enumerate(SENSORS, start=1)}
 
 BENT = (False, *(sensor.BENT for sensor in SENSORS))
 ANGLE_ROW = (-1, *(sensor.ANGLE_ROW for sensor in SENSORS))
 GATED_TOGETHER = (False, *(sensor.GATED_TOGETHER for sensor in SENSORS))
-"""By number, as their names in `Sensor`."""
+"""Attributes of `Sensor` of the same names, indexed by sensor number."""
 
 
 @inner
@@ -146,9 +146,9 @@ def undo(number: int, t_ns: float, x: Array, m: Any, row: Any, par: Any, late: A
 
 @inner
 def innovation(number: int, z: Array, mean: Array, var: Array, count: int, nu: Array) -> None:
-    """Fill `nu` (8,) with measured minus predicted rows, angles by the shorter way round.
+    """Fill `nu` (8,) with measured minus predicted rows, angles wrapped to (-pi, pi].
 
-    A row that is not finite is marked in `var`.
+    A row that is not finite gets innovation 0 and a negative variance in `var`.
     """
     for i in range(ROWS):
         nu[i] = z[i] - mean[i]

@@ -1,7 +1,7 @@
-"""Gyro: yaw rate plus bias; and of the same sample, on a wall, the heading from gravity plus an offset.
+"""Gyro: yaw rate plus bias; and on a wall, from the same sample, the gravity heading plus an offset.
 
-Two rows, each with its own variance, gate and tally: gravity lies in the motion plane on a wall only, and is
-the less certain the harder the body is accelerated.
+Two rows, each with its own variance, gate and tally. Gravity lies in the motion plane on a wall only. The
+harder the body accelerates, the less certain the gravity heading is.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ undo = undo_nothing
 
 
 class Parameters(Record):
-    """What the gyro's kernels go by.
+    """Parameters of the gyro's kernels.
 
     Attributes:
         rate: variance of the rate, rad^2/s^2.
-        gravity, gravity_pulled: variance of the gravity heading, rad^2, and more per squared body
+        gravity, gravity_pulled: variance of the gravity heading, rad^2, and its increase per squared body
             acceleration, rad^2/(m/s^2)^2.
-        gravity_used: 1 where the gravity heading is taken, else 0.
+        gravity_used: 1 where the gravity heading is used, else 0.
     """
 
     rate: float
@@ -79,7 +79,7 @@ class Memory(Record):
 
 
 class Row(Record):
-    """One sample; NaN where there is no rate or no heading. Acceleration of the body without gravity."""
+    """One sample: rate and gravity heading, NaN where missing; body acceleration without gravity."""
 
     rate_rad_s: float
     heading_rad: float
@@ -88,7 +88,7 @@ class Row(Record):
 
 
 def is_used(config: EstimatorConfig) -> bool:
-    """Always."""
+    """Always True."""
     return True
 
 
@@ -104,7 +104,7 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
 
 
 def pack(sample: GyroMeasurement) -> Sequence[float] | str:
-    """Event row (4,); an acceleration beyond any robot takes the gravity heading with it."""
+    """Event row (4,), or the reason of refusal; an implausible acceleration only voids the heading."""
     pull = np.asarray(sample.acceleration_m_s2, dtype=np.float64)
     if pull.shape != _TWO:
         return "shape"
@@ -121,13 +121,13 @@ def pack(sample: GyroMeasurement) -> Sequence[float] | str:
 
 @inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
-    """Every sample is usable, once."""
+    """Accept every sample whose stamp is new."""
     return DUPLICATE if is_repeated(t_ns, m.t_ns) else USED
 
 
 @inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
-    """Rate and gravity heading."""
+    """Measured yaw rate and gravity heading with their variances."""
     z[RATE], z[GRAVITY] = row.rate_rad_s, row.heading_rad
     var[RATE] = par.rate if math.isfinite(row.rate_rad_s) else -1.0
     pull = row.ahead_m_s2 * row.ahead_m_s2 + row.left_m_s2 * row.left_m_s2
@@ -138,21 +138,21 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
 
 @inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
-    """Rate plus bias, heading plus offset."""
+    """Predicted rows: yaw rate plus bias, heading plus offset."""
     out[RATE] = x[OMEGA] + x[BIAS]
     out[GRAVITY] = x[THETA] + x[OFFSET]
 
 
 @inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
-    """Derivative of `predicted`."""
+    """Derivative of `predicted` by the state."""
     h[RATE, OMEGA] = h[RATE, BIAS] = 1.0
     h[GRAVITY, THETA] = h[GRAVITY, OFFSET] = 1.0
 
 
 @inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
-    """Each row in its own tally, and only where it was there."""
+    """Count each row in its own tally, where the row was usable."""
     m.innovation_rad_s = nu[RATE]
     used = 0
     if var[RATE] > 0.0:
@@ -168,7 +168,7 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
 
 @inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
-    """Heading and offset are no longer trusted, or rate and bias."""
+    """Raise the variance of heading and offset, or of rate and bias, after too many rejections in a row."""
     if m.gravity.in_row >= limit:
         m.gravity.in_row = 0.0
         m.gravity.reanchored += 1.0
@@ -184,5 +184,5 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
 
 @inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """The stamp."""
+    """Store the stamp."""
     m.t_ns = t_ns

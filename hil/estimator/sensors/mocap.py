@@ -1,4 +1,4 @@
-"""Motion capture: the pose in the wall frame. Off by default: it is the truth that the others are held to."""
+"""Motion capture: the pose in the wall frame. Off by default, because it is the reference for the others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ pack = pack_pose
 
 
 class Parameters(Record):
-    """Whether its poses are used (1 or 0), and their variances, m^2 and rad^2."""
+    """Whether the poses are used (1 or 0), and their variances, m^2 and rad^2."""
 
     used: float
     position: float
@@ -52,7 +52,7 @@ class Memory(Record):
 
 
 def is_used(config: EstimatorConfig) -> bool:
-    """Where the configuration says so."""
+    """Whether `[estimator]` switches motion capture on."""
     return config.mocap.use
 
 
@@ -64,7 +64,7 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
 
 @inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
-    """Every tracked pose is usable, once."""
+    """Accept every valid pose whose stamp is new, if the poses are used."""
     if is_repeated(t_ns, m.t_ns):
         return DUPLICATE
     if par.used > 0.0 and row.valid > 0.0:
@@ -75,32 +75,32 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
 
 @inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
-    """The pose."""
+    """Measured pose with its variances."""
     return read(row, par.position, par.heading, z, var)
 
 
 @inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
-    """The pose."""
+    """Predicted pose in the wall frame."""
     out[0], out[1], out[2] = x[X], x[Y], x[THETA]
 
 
 @inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
-    """Derivative of `predicted`."""
+    """Derivative of `predicted` by the state."""
     h[0, X] = h[1, Y] = h[2, THETA] = 1.0
 
 
 @inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
-    """All rows in one tally."""
+    """Count all rows in one tally."""
     m.innovation_m = math.hypot(nu[0], nu[1])
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
 @inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
-    """The pose is no longer trusted."""
+    """Raise the variance of the pose after too many rejections in a row."""
     if m.tally.in_row < limit:
         return False
     m.tally.in_row = 0.0
@@ -111,5 +111,5 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
 
 @inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """The stamp."""
+    """Store the stamp."""
     m.t_ns = t_ns

@@ -1,4 +1,4 @@
-"""What the sensors of a whole pose have in common: event row and intake."""
+"""Event row and intake shared by the sensors that measure a whole pose."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PoseRow(Record):
 
 
 def pack_pose(sample: PoseMeasurement) -> Sequence[float] | str:
-    """Event row (5,) of a pose."""
+    """Event row (5,) of a pose, or the reason of refusal."""
     pose = np.asarray(sample.pose)
     if pose.shape != _THREE:
         return "shape"
@@ -43,7 +43,7 @@ def pack_pose(sample: PoseMeasurement) -> Sequence[float] | str:
 
 @inner
 def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> int:
-    """The pose as three rows with these variances, m^2 and rad^2."""
+    """Fill the three measured rows of a pose and their variances, m^2 and rad^2; return their number."""
     z[0], z[1], z[2] = row.x_m, row.y_m, row.heading_rad
     var[0] = var[1] = var_m
     var[2] = var_rad
@@ -52,12 +52,14 @@ def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> in
 
 @inner
 def shake(p: Array, var_m: float, var_rad: float) -> None:
-    """Let the pose be off by so much more: its clone with it, since wheels tell only what lies between.
+    """Raise the variance of the pose and of its clone alike, in place.
+
+    The clone is included because the wheels measure only the displacement between both.
 
     Args:
         p: (20, 20) covariance, changed in place.
         var_m: variance to add along each axis, m^2.
-        var_rad: the same of the heading, rad^2.
+        var_rad: variance to add to the heading, rad^2.
     """
     for i in range(POSE_ROWS):
         more = var_rad if X + i == THETA else var_m

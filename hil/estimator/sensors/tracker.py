@@ -1,7 +1,7 @@
 """Tracking camera: pose in a frame of its own.
 
-The state holds this pose, too: it moves with the pose in the wall frame, (1 + scale) as far, and drifts
-(`hil.estimator.process_model`). It begins with the camera's first pose and anew after a jump.
+The state contains this pose as well. It moves with the pose in the wall frame, (1 + scale) times as far, and
+drifts (`hil.estimator.process_model`). It starts at the camera's first pose and again after a jump.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FIGURES = {
 }
 
 DOUBTED = 4.0
-"""Variances of a pose below the best quality, as a multiple."""
+"""Factor on the variances of a pose below the best quality."""
 _BEST_QUALITY = 3.0
 _NO_GATE = 1e300
 
@@ -50,13 +50,13 @@ pack = pack_pose
 
 
 class Parameters(Record):
-    """What the camera's kernels go by.
+    """Parameters of the camera's kernels.
 
     Attributes:
-        used: 1 or 0.
+        used: 1 where the camera is used, else 0.
         position, heading: variances of a pose, m^2 and rad^2.
-        quality: below it a pose is dropped.
-        baseline_s: after this time the frame begins anew; 0: never.
+        quality: least quality of a usable pose.
+        baseline_s: time after which the frame is started again; 0: never.
         jump_m, jump_rad, fastest_m_s, fastest_rad_s: a step beyond jump + fastest * time is a jump.
     """
 
@@ -72,14 +72,14 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """The last pose.
+    """The last pose and the present frame.
 
     Attributes:
-        t_ns: its stamp; negative before the first.
-        frame_t_ns: when the present frame began; negative before the first.
-        x_m, y_m, heading_rad: in the camera's frame.
-        innovation_m, innovation_rad: of position and heading.
-        tally: of all rows.
+        t_ns: stamp of the last pose; negative before the first.
+        frame_t_ns: stamp at which the present frame started; negative before the first.
+        x_m, y_m, heading_rad: the last pose in the camera's frame.
+        innovation_m, innovation_rad: innovation of position and heading.
+        tally: tally of all rows.
     """
 
     t_ns: float
@@ -93,7 +93,7 @@ class Memory(Record):
 
 
 def is_used(config: EstimatorConfig) -> bool:
-    """Always: poses of a camera that is off are counted as refused."""
+    """Always True: poses of a camera that is switched off are counted as refused."""
     return True
 
 
@@ -115,14 +115,14 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
 
 @inner
 def weigh(row: Row, par: Parameters, z: Array, var: Array) -> int:
-    """The pose as three rows, with less weight below the best quality."""
+    """Fill the three measured rows; the variance is larger below the best quality."""
     factor = DOUBTED if row.quality < _BEST_QUALITY else 1.0
     return read(row, par.position * factor, par.heading * factor, z, var)
 
 
 @inner
 def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """Let the frame begin at this pose: it is what the camera shows, but for its noise."""
+    """Start the frame at this pose: set the pose in the camera's frame to it, with its noise."""
     z, var = np.zeros(ROWS), np.zeros(ROWS)
     weigh(row, par, z, var)
     for i in range(POSE_ROWS):
@@ -136,7 +136,7 @@ def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramet
 
 @inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
-    """A pose of too little quality is dropped; a step that the robot cannot have made starts a new frame."""
+    """Refuse a pose of low quality; start a new frame where the robot cannot have made the step."""
     if is_repeated(t_ns, m.t_ns):
         return DUPLICATE
     if par.used <= 0.0 or row.valid <= 0.0 or row.quality < par.quality:
@@ -156,36 +156,36 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
 
 @inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
-    """The pose."""
+    """Measured pose with its variances."""
     return weigh(row, par, z, var)
 
 
 @inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
-    """The pose in the camera's frame."""
+    """Predicted pose in the camera's frame."""
     for i in range(POSE_ROWS):
         out[i] = x[SIGHT_X + i]
 
 
 @inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
-    """Derivative of `predicted`."""
+    """Derivative of `predicted` by the state."""
     for i in range(POSE_ROWS):
         h[i, SIGHT_X + i] = 1.0
 
 
 @inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
-    """All rows in one tally."""
+    """Count all rows in one tally."""
     m.innovation_m, m.innovation_rad = math.hypot(nu[0], nu[1]), nu[ANGLE_ROW]
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
 @inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
-    """A new frame after too many rejections, and with baselines when one has ended.
+    """Request a new frame after too many rejections, or when a baseline has ended.
 
-    The new frame forgets what the camera has been contradicting: the estimate may be off by as much.
+    After rejections the wall pose gets the variance of the last innovation, since the new frame discards it.
     """
     if m.tally.in_row >= limit:
         m.tally.reanchored += 1.0
@@ -197,14 +197,14 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
 
 @inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """The pose."""
+    """Store stamp and pose."""
     m.t_ns = t_ns
     m.x_m, m.y_m, m.heading_rad = row.x_m, row.y_m, row.heading_rad
 
 
 @inner
 def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
-    """Back through a new frame, where one began at this pose: it has nothing of the state before."""
+    """Carry back through a new frame, if one started here: it does not depend on the state before."""
     if m.frame_t_ns != t_ns:
         return
     for i in range(POSE_ROWS):

@@ -1,12 +1,12 @@
-"""Wheels: displacement of the body since the last servo read, cloned pose to present pose.
+"""Wheels: displacement of the body since the last servo read, from the cloned to the present pose.
 
-Compared as eight scalar equations u_i = (P d)_i, each with a gate of its own, or as one body displacement.
-With d = (d_x, d_y, turn) in the frame half-way: rolled = d_xy - R' (s dt + c rho), turned = turn - kappa rho,
-and scale times D more where the wheel scale is free; s, c and kappa are the slip states. rho is the mean
-displacement of the wheels and D that of the body by the wheels, both at the speed of the last half second:
-with the step's own displacement, measured or estimated, its errors would correlate with the row and be taken
-for slip or scale. What is known of the slip per rolled metre, by direction of travel, is added to what the
-wheels say before it is compared; c and kappa are what is left of it.
+Compared as eight scalar equations u_i = (P d)_i, each with its own gate, or as one body displacement. With d
+= (d_x, d_y, turn) in the frame half-way, the wheels roll d_xy - R' (s dt + c rho) and turn by turn - kappa
+rho; scale times D is added where the wheel scale is free. s, c and kappa are the slip states. rho is the mean
+displacement of the wheels and D that of the body measured by the wheels, both at the mean speed of the last
+half second. The step's own displacement, measured or estimated, is not used: its errors would correlate with
+the row and be mistaken for slip or scale. The known slip per rolled metre, by direction of travel, is added
+to the measured rows before the comparison; c and kappa are the remainder.
 
 `aux` is (dt_s, rho_m, D: m, m, rad).
 """
@@ -75,21 +75,21 @@ new_frame = no_frame
 
 
 class Parameters(Record):
-    """What the wheels' kernels go by.
+    """Parameters of the wheels' kernels.
 
     Attributes:
         step, per_m, per_s, steering: variances of a displacement: m^2, m^2/m, m^2/s, m^2/rad^2.
-        longest_gap_s: a longer interval is not taken for one displacement.
+        longest_gap_s: longest interval that counts as one displacement.
         from_rate: 1 where the displacement comes from the rate, 0 from the angle.
         rows: 8 equations, or 3 of one body displacement.
-        friction_window_s: of `hil.estimator.wheel_friction`; 0: least squares.
+        friction_window_s: time constant of `hil.estimator.wheel_friction`; 0: least squares.
         creeping: 1 for creep, 0 for dry friction.
-        scaled: 1 where the state's scale error is that of the wheels, else 0.
+        scaled: 1 where the scale state belongs to the wheels, else 0.
         known: slip per rolled metre when driving up, down, left and right: wall x, wall y (m/m), turn
             (rad/m).
         contacts: the wheels on the surface.
-        of_body: (8, 3): body displacement to what is compared.
-        of_wheels: (8, 8): wheel displacements to what is compared.
+        of_body: (8, 3) matrix from body displacement to rows.
+        of_wheels: (8, 8) matrix from wheel displacements to rows.
     """
 
     step: float
@@ -109,19 +109,19 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """The last servo read.
+    """The last servo read, and running means of the motion.
 
     Attributes:
-        t_ns: its stamp; negative before the first.
-        angle_rad, steering_rad: NaN where a wheel was not usable.
+        t_ns: stamp of the last read; negative before the first.
+        angle_rad, steering_rad: angles of the last read; NaN where a wheel was not usable.
         speed_m_s: mean speed of the wheels over the last half second.
-        ahead_m_s, left_m_s: velocity of the body between the last two reads, by the wheels alone.
-        mean: velocity of the body (m/s, m/s, rad/s) by the wheels over the last half second.
-        heading_rad: of the estimate at that read.
-        window_m: sum of the last displacements, for friction.
-        innovation_m: of the first two rows, as a length.
-        refused: how often each wheel's equations were left out.
-        tally: of all rows.
+        ahead_m_s, left_m_s: velocity of the body between the last two reads, measured by the wheels alone.
+        mean: velocity of the body (m/s, m/s, rad/s) measured by the wheels over the last half second.
+        heading_rad: estimated heading at the last read.
+        window_m: decaying sum of the last displacements, for friction.
+        innovation_m: length of the innovation of the first two rows.
+        refused: number of rejected equations of each wheel.
+        tally: tally of all rows.
     """
 
     t_ns: float
@@ -176,12 +176,12 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
 
 
 def is_used(config: EstimatorConfig) -> bool:
-    """Always."""
+    """Always True."""
     return True
 
 
 def pack(sample: WheelMeasurement) -> Sequence[float] | str:
-    """Event row (16,) of a servo read; a wheel beyond any robot is marked, not the sample refused."""
+    """Event row (16,) or the reason of refusal; a wheel with implausible angles is only marked invalid."""
     turned, steered = np.asarray(sample.wheel_angle_rad), np.asarray(sample.steering_rad)
     rates, valid = np.asarray(sample.wheel_rate_rad_s), list(sample.valid)
     if not turned.shape == steered.shape == rates.shape == _FOUR or len(valid) != 4:
@@ -196,7 +196,7 @@ def pack(sample: WheelMeasurement) -> Sequence[float] | str:
 
 @inner
 def clone_pose(x: Array, p: Array) -> None:
-    """Clone the pose and its correlations."""
+    """Copy the pose and its covariances to the clone, in place."""
     check_size(p)
     for i in range(3):
         x[CLONE_X + i] = x[X + i]
@@ -209,7 +209,7 @@ def clone_pose(x: Array, p: Array) -> None:
 
 @inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
-    """Every read is usable, once."""
+    """Accept every read whose stamp is new."""
     return DUPLICATE if is_repeated(t_ns, m.t_ns) else USED
 
 
@@ -217,12 +217,12 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
 def body_rows(
     u: Array, noise: Array, count: int, dt_s: float, m: Memory, par: Parameters, z: Array, var: Array
 ) -> int:
-    """One body displacement of all four wheels; nothing when a wheel is missing.
+    """Fill one body displacement of all four wheels; return the number of rows, 0 if a wheel is missing.
 
     Args:
         u: (8,) displacement of each wheel, m, body frame.
-        noise: (8,) its variances.
-        count: how many wheels are known.
+        noise: (8,) variances of `u`.
+        count: number of usable wheels.
         dt_s: duration of the step.
         m: memory.
         par: parameters.
@@ -253,11 +253,11 @@ def body_rows(
 
 @inner
 def known_slip(m: Memory, par: Parameters, dt_s: float) -> Array:
-    """Slip (3,) of a step of `dt_s` that is known beforehand: m, m, rad, body frame.
+    """Slip (3,) of a step of `dt_s` expected from the known slip per metre: m, m, rad, body frame.
 
-    Weight pulls along wall x whatever the direction; what gives way is stiffness along the wheels and across
-    them. So the slip between two axes goes by the squares of the direction's cosines, with the product
-    between the axes that such a tensor has.
+    The weight pulls along wall x for every direction of travel; the wheels yield by their stiffness
+    lengthwise and sideways. So between two axes the slip is weighted with the squared direction cosines, plus
+    the mixed term that such a tensor has.
     """
     c, s = math.cos(m.heading_rad), math.sin(m.heading_rad)
     up, left = c * m.mean[0] - s * m.mean[1], s * m.mean[0] + c * m.mean[1]
@@ -278,7 +278,7 @@ def known_slip(m: Memory, par: Parameters, dt_s: float) -> Array:
 
 @inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
-    """Wheel displacements since the last read as eight or three rows."""
+    """Wheel displacements since the last read as eight or three rows; 0 rows after a gap."""
     dt = (t_ns - m.t_ns) * 1e-9
     if m.t_ns < 0.0 or dt > par.longest_gap_s:
         return 0
@@ -323,7 +323,7 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
 
 @inner
 def nominal(t_ns: float, x: Array, m: Memory, par: Parameters, out: Array) -> None:
-    """Fill the velocity (2,) of the body, m/s: by the wheels last, the state's own where they are silent."""
+    """Fill `out` (2,) with the body's velocity, m/s: by the last wheel reads, or by the state after a gap."""
     if m.t_ns < 0.0 or (t_ns - m.t_ns) * 1e-9 > par.longest_gap_s:
         out[0], out[1] = x[V_X], x[V_Y]
     else:
@@ -332,7 +332,7 @@ def nominal(t_ns: float, x: Array, m: Memory, par: Parameters, out: Array) -> No
 
 @inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
-    """Rows from the displacement between the cloned pose and the present one, less the slip."""
+    """Predicted rows: displacement from the cloned to the present pose, less the slip."""
     dt, rho = aux[0], aux[1]
     mid, h = 0.5 * (x[THETA] + x[CLONE_THETA]), 0.5 * (x[THETA] - x[CLONE_THETA])
     g = 1.0 / sinc(h)
@@ -349,7 +349,7 @@ def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
 
 @inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
-    """Derivative of `predicted`: first (3, 20) of the body displacement, then of the rows."""
+    """Derivative of `predicted` by the state: of the body displacement (3, 20), then of the rows."""
     dt, rho = aux[0], aux[1]
     mid, half = 0.5 * (x[THETA] + x[CLONE_THETA]), 0.5 * (x[THETA] - x[CLONE_THETA])
     k = sinc(half)
@@ -380,7 +380,7 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
 
 @inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
-    """All rows in one tally, and of eight equations those of each wheel that were left out."""
+    """Count all rows in one tally; of eight equations also the rejected ones per wheel."""
     m.innovation_m = math.hypot(nu[0], nu[1])
     total, usable, used = 0.0, 0, 0
     for i in range(count):
@@ -398,7 +398,7 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
 
 @inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
-    """The twist is no longer trusted."""
+    """Raise the variance of the twist after too many rejections in a row."""
     if m.tally.in_row < limit:
         return False
     m.tally.in_row = 0.0
@@ -411,7 +411,7 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
 
 @inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """The read, and the pose at which it was made."""
+    """Store the read, and clone the pose at which it was made."""
     m.t_ns = t_ns
     for i in range(4):
         valid = row.valid[i] > 0.0
@@ -423,7 +423,7 @@ def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramete
 
 @inner
 def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
-    """Back through the cloning of the pose."""
+    """Carry back through the cloning of the pose."""
     for i in range(3):
         late[X + i] += late[CLONE_X + i]
         late[CLONE_X + i] = 0.0
