@@ -15,12 +15,12 @@ import numpy as np
 
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.time_offset import time_offset_s
-from hil.datasets.truth_jumps import Bools, fastest_m_s, find_jumps
+from hil.datasets.truth_jumps import fastest_m_s, find_jumps
 from hil.datasets.wrong_signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
 
 Reasons = dict[int, str]

@@ -15,8 +15,7 @@ import numpy.typing as npt
 from hil.calibration import motion_models
 from hil.calibration.evaluation import roll
 from hil.calibration.motion_models import COLD, FRICTION, respond, settled
-from hil.core.geometry import Array
-from hil.datasets.truth_jumps import Bools
+from hil.core.geometry import Array, Bools
 from hil.robot import contact_laws
 from hil.robot.odometry import chord, chord_slopes
 from hil.support.numba_jit import compile_for, inner, kernel

@@ -10,7 +10,7 @@ Levenberg-Marquardt; the result contains the value before and after.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,6 @@ class Solution:
     converged: bool
     searched: int
     objective_before_polish: float | None = None
-    history: tuple[float, ...] = field(default=(), repr=False)
 
 
 def solve(
@@ -89,7 +88,7 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
     """
     z, damping = problem.clip(z0), 1e-3
     value, gradient, hessian = problem.gradient_terms(z)
-    history, iterations, converged, moved = [value], 0, False, False
+    iterations, converged, moved = 0, False, False
     while iterations < limit and not converged:
         iterations += 1
         if moved:
@@ -105,12 +104,11 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
             damping = max(damping * (0.2 if gain > 0.5 else 1.0), 1e-12)
             relative = (value - trial_value) / max(value, 1e-300)
             z, value, moved = trial, trial_value, True
-            history.append(value)
             converged = relative < 1e-9
         else:
             damping *= 6.0
             converged = damping > 1e12
-    return Solution(z, value, iterations, converged, len(z), history=tuple(history))
+    return Solution(z, value, iterations, converged, len(z))
 
 
 def standard_errors_left(problem: Problem, z: Array) -> float:
@@ -163,7 +161,6 @@ def interior_point(problem: Problem, z0: Array) -> Solution:
         return value, 2.0 * width * gradient, 2.0 * width[:, None] * hessian * width
 
     start = np.clip((problem.clip(z0) - problem.lower) / width, _INSIDE, 1.0 - _INSIDE)
-    history = [problem.objective(place(start))]
     found: Any = minimize(  # type: ignore[call-overload]
         lambda u: problem.objective(place(u)),
         start,
@@ -171,17 +168,16 @@ def interior_point(problem: Problem, z0: Array) -> Solution:
         jac=lambda u: terms(u)[1],
         hess=lambda u: terms(u)[2],
         bounds=Bounds(0.0, 1.0),
-        callback=lambda u, state: history.append(float(state.fun)),
         options={
             "maxiter": _INTERIOR_POINT_LIMIT,
-            "gtol": _SLOPE * max(history[0], 1e-12),
+            "gtol": _SLOPE * max(problem.objective(place(start)), 1e-12),
             "xtol": _STEP,
             "barrier_tol": _SLOPE,
         },
     )
     z = problem.clip(place(found.x))
     converged = int(found.status) in _TRUST_CONSTR_ENDED
-    return Solution(z, problem.objective(z), int(found.nit), converged, len(z), history=tuple(history))
+    return Solution(z, problem.objective(z), int(found.nit), converged, len(z))
 
 
 def _stochastic(problem: Problem, method: str, seed: int, progress: Progress | None) -> Solution:

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 
 from hil.core.errors import DataError
-from hil.core.geometry import Array, quat_conjugate, quat_multiply, quat_rotate, yaw_of_quat
+from hil.core.geometry import Array, Bools, quat_conjugate, quat_multiply, quat_rotate, yaw_of_quat
 from hil.core.interpolation import between_samples
 from hil.datasets.plain_csv import TRUTH_GAP_S
 from hil.datasets.topic_map import TruthTopic
-from hil.datasets.truth_jumps import Bools
 
 _UNIT = (0.9, 1.1)
 """Range of the squared norm of a quaternion that counts as a rotation."""

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.datasets.dataset import Recording
 from hil.datasets.initial_rest import start_of
 from hil.datasets.sampling import block_vectors, checked_edges
-from hil.datasets.truth_jumps import Bools
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import SupportsInt
 
 import numpy as np
 
-from hil.core.geometry import Array
-from hil.datasets.truth_jumps import Bools, Rows
+from hil.core.geometry import Array, Bools
+from hil.datasets.truth_jumps import Rows
 
 _GAP_S, _GAPS_LONGER = 0.1, 1.5
 _MIN_STEP_S = 1e-6

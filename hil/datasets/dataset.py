@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from hil.core.errors import DataError
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.segments import in_words, split
-from hil.datasets.truth_jumps import Bools, fastest_m_s, find_jumps
+from hil.datasets.truth_jumps import fastest_m_s, find_jumps
 from hil.datasets.unit_check import check_stamp_jumps, check_time, check_units, rolled_m
 from hil.datasets.unit_factors import Drive, check_rates, check_ways
 from hil.datasets.wheel_turns import whole_turns

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.errors import DataError, UsageError
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.core.interpolation import between_samples
 from hil.datasets.dataset import Recording
-from hil.datasets.truth_jumps import Bools
 from hil.robot.kinematics import wheel_vectors
 
 SIGNALS = ("position", "velocity")

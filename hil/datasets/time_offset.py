@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S, interpolate, truth_window, wheel_steps
-from hil.datasets.truth_jumps import Bools
 from hil.robot.kinematics import twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate
 

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 
-Bools = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int_]
 
 _NOISE_M, _NOISE_STEPS = 0.03, 10.0

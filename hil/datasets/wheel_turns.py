@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.errors import DataError
-from hil.core.geometry import Array
-from hil.datasets.truth_jumps import Bools
+from hil.core.geometry import Array, Bools
 
 WRAPS = "wheel-angle wrap-arounds undone"
 BY_RATES = "wheel angles behind a gap given their turns by the wheel rates"

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.errors import DataError
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.datasets.blocks import Blocks, reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
-from hil.datasets.truth_jumps import Bools, Rows
+from hil.datasets.truth_jumps import Rows
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate
 

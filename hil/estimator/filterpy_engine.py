@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from hil.config.estimator import EstimatorConfig
 from hil.core.clock import NS_PER_S
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.core.named_records import Records
 from hil.estimator import constant_twist, event_loop, pose_correction, sensors
 from hil.estimator.event_buffer import History
@@ -43,8 +42,6 @@ from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.state_vector import AUX, ROWS, SCALE, STATES
 from hil.support.numba_jit import kernel
-
-Bools = npt.NDArray[np.bool_]
 
 compare, innovation = kernel(event_loop.compare), kernel(sensors.innovation)
 move, transition = kernel(constant_twist.move), kernel(constant_twist.transition)

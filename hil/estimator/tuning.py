@@ -252,7 +252,7 @@ def tune(
                 found, used = _tried(config, trial, runs), used + 1
                 report("tuning", used, evaluations)
                 tried.add(name)
-                if found != best:
+                if found is not None and found != best:
                     matter.add(name)
                 if found is not None and found.likelihood < best.likelihood - _LEAST_GAIN:
                     values, best, improved = trial, found, True

@@ -64,11 +64,10 @@ class WheelGeometry:
             object.__setattr__(self, name, _four(getattr(self, name)))
         if np.any(self.radius_m <= 0):
             raise UsageError(f"wheel radii {self.radius_m.tolist()} m", expected="all positive")
-        if np.any(self.load < 0) or not np.any(self.load > 0) or not 0 < self.creep_ratio < np.inf:
-            raise UsageError(
-                f"wheel loads {self.load.tolist()}, creep ratio {self.creep_ratio}",
-                expected="none negative, some positive",
-            )
+        if np.any(self.load < 0) or not np.any(self.load > 0):
+            raise UsageError(f"wheel loads {self.load.tolist()}", expected="none negative, some positive")
+        if not 0 < self.creep_ratio < np.inf:
+            raise UsageError(f"creep ratio {self.creep_ratio}", expected="a finite number above 0")
         if np.linalg.matrix_rank(self.projection()) < 3:
             raise UsageError("all wheels are at one point: the turn rate cannot be measured")
 

@@ -19,6 +19,7 @@ import numpy as np
 from hil.core.errors import UsageError, check_number
 from hil.core.geometry import Array, ArrayLike, rotation2
 from hil.core.signals import Reference
+from hil.robot.kinematics import NOMINAL_HALF_BASE_M
 from hil.robot.paths import Arc, Chain, Ints, Pose, Segment, Straight, TimeLaw
 
 _STRIDE = 64
@@ -165,7 +166,7 @@ def _duration(length: float, turn_rad: float, speed: float, acceleration: float,
     """Duration of a segment within peak wheel speed and acceleration; a turn counts by the CAD lever."""
     check_number(speed, "speed_m_s", "m/s", above_zero=True)
     check_number(acceleration, "acceleration_m_s2", "m/s^2", above_zero=True)
-    path = length + abs(turn_rad) * math.hypot(0.1125, 0.1125)
+    path = length + abs(turn_rad) * math.hypot(NOMINAL_HALF_BASE_M, NOMINAL_HALF_BASE_M)
     if path <= 0:
         raise UsageError("a segment of no length", expected="a start and an end that differ")
     if law == "constant":

@@ -60,7 +60,12 @@ def test_a_client_that_knows_only_the_dbc_reads_the_fan():
 
 def test_charge_and_energy_drawn_are_those_of_current_and_voltage():
     database = cantools.database.load_file(DBC)
-    with fan_world(start="off", messages_1=(2, 3), messages_2=(4, 5), rate_2_hz=10.0) as (_world, clock, _node, bus):
+    with fan_world(start="off", messages_1=(2, 3), messages_2=(4, 5), rate_2_hz=10.0) as (
+        _world,
+        clock,
+        _node,
+        bus,
+    ):
         keep(bus, clock, 5.0)
         newest = {"ChargeDrawn": 0.0, "EnergyDrawn": 0.0}
         charge_as, energy_j, amps = 0.0, 0.0, []

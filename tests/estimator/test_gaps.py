@@ -7,7 +7,7 @@ import pytest
 from estimator_drives import drive
 from test_estimator_engines import assert_same, states
 
-from hil.config.estimator import EstimatorConfig
+from hil.config.estimator import EstimatorConfig, WheelNoise
 from hil.core.signals import Measurements, RobotState, Stamp, WheelMeasurement
 from hil.estimator import make_estimator
 from hil.robot.kinematics import NOMINAL_RADIUS_M, WheelGeometry
@@ -40,6 +40,20 @@ def test_a_robot_that_goes_straight_on_is_there_after_a_gap(kind, silent_s):
         way_m = SPEED_M_S * cycle.t_ns * 1e-9
         np.testing.assert_allclose(state.pose_body_in_wall, [way_m, 0.0, 0.0], atol=1e-3)
     assert np.sqrt(state.covariance[2, 2]) > 0.5
+
+
+def test_odometry_by_rates_leaves_out_a_wheel_without_one():
+    """It does not count as a wheel that stands still."""
+    config = EstimatorConfig(kind="odometry", wheels=WheelNoise(source="velocity"))
+    estimator = make_estimator(config, WheelGeometry.nominal(), surface="floor")
+    estimator.reset(START)
+    for cycle in straight_on(0.0):
+        lacking = cycle.wheels[0].wheel_rate_rad_s.copy()
+        lacking[cycle.cycle % 4] = np.nan
+        read = replace(cycle.wheels[0], wheel_rate_rad_s=lacking)
+        state = estimator.update(replace(cycle, wheels=(read,)))
+    way_m = SPEED_M_S * (SECONDS - PERIOD_S)
+    np.testing.assert_allclose(state.pose_body_in_wall, [way_m, 0.0, 0.0], atol=1e-6)
 
 
 def with_gap(cycles, silent_s, *sensors):
