@@ -61,11 +61,11 @@ class Bno055(SerialModel):
 
 
 _UNKNOWN = (0.0,) * 9
-"""A covariance, as `sensor_msgs/Imu` has it where nothing is known of it."""
+"""Covariance of `sensor_msgs/Imu` that is unknown: all zeros."""
 
 
 def imu_message(sample: ImuSample, ros: MessageMaker) -> bytes:
-    """`sensor_msgs/Imu` as CDR; acceleration with gravity (specific force), as REP 145 asks."""
+    """`sensor_msgs/Imu` as CDR; acceleration with gravity (specific force), as in REP 145."""
     w, x, y, z = sample.quaternion_wxyz.tolist()
     rates, force = sample.gyro_rad_s.tolist(), sample.specific_force_m_s2.tolist()
     values = (x, y, z, w, *_UNKNOWN, *rates, *_UNKNOWN, *force, *_UNKNOWN)

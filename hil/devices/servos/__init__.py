@@ -40,7 +40,7 @@ class Dynamixel(SerialModel):
     probe_writes = "a ping of all Dynamixel servos, at each of their baud rates"
 
     def emulate(self, request: Any) -> Any:
-        """The bus behind an adapter whose latency is that of the table."""
+        """Emulate the bus behind an adapter with the latency of the table."""
         from hil.devices.emulated_device import on_serial_line
 
         config: ServosConfig = request.config

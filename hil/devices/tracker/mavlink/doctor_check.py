@@ -27,14 +27,14 @@ def diagnose(
     samples: Sequence[TrackerSample],
     watched_s: float,
 ) -> Iterator[Finding]:
-    """Findings about an open sender.
+    """Findings on a sender with an open session.
 
     Args:
-        session: with it.
+        session: the session with the sender.
         config: of the tracker.
         device: name in the findings.
-        samples: read during `watched_s`; nothing is said about the rate without.
-        watched_s: how long.
+        samples: read during `watched_s`.
+        watched_s: duration of the watch; no finding on the rate when 0.
     """
     yield _sender(session, device)
     yield _time(session, config, device)
