@@ -37,7 +37,7 @@ _OLD_FRAMES = 1000
 _FRAME = Message.FRAME.value
 _RESTART_NS = 250_000_000
 NewFrame: TypeAlias = tuple[Frame, int, bool]
-"""A frame, its arrival on the bench clock (ns), and whether the server has begun anew with it."""
+"""A frame, its arrival on the bench clock (ns), and whether the server has restarted before it."""
 
 
 def parse_models(payload: bytes, version: tuple[int, int]) -> dict[int, str]:
@@ -116,11 +116,11 @@ class Session:
         version: (major, minor) of the bit stream.
         bodies: rigid bodies by streaming id, None until it has sent them.
         body_id: the one to look for in frames, None until it is known.
-        malformed: packets that were not what they said.
+        malformed: packets that could not be parsed.
         strangers: packets from other hosts, or frames from another source than the usual one.
         taken: frames that were new.
         repeated: frames that came again or too late; a server that knows both ports sends each one twice.
-        floods: calls of `frames` that met more datagrams of no use than they look at; the rest waits.
+        floods: calls of `frames` that stopped after too many datagrams of no use; the rest waits.
     """
 
     def __init__(self, config: MocapConfig, clock: Clock, datagrams: DatagramFactory) -> None:
@@ -187,7 +187,7 @@ class Session:
             self._send(request(Message.KEEPALIVE))
 
     def frames(self) -> list[NewFrame]:
-        """New frames that have arrived, with their arrival and whether the server has begun anew."""
+        """New frames that have arrived, with their arrival and whether the server has restarted."""
         found: list[NewFrame] = []
         wasted, repeated = 0, self.repeated
         for port in self._ports:
@@ -284,9 +284,9 @@ class Session:
         return frame, back > 0
 
     def _seen_before(self, frame: Frame) -> bool:
-        """Whether a frame has come already, by the other port perhaps and much later.
+        """Whether a frame has been received before, perhaps by the other port and much earlier.
 
-        A server that has begun anew repeats numbers, not times.
+        A server that has restarted repeats numbers, not times.
         """
         seen, number = self._seen, frame.number
         times = (frame.timestamp_s, frame.exposure_ticks, frame.sent_ticks)

@@ -29,7 +29,7 @@ ERROR_TEXT = {
 }
 _HEADER = b"\xff\xff\xfd\x00"
 _TO_STUFF, _CODE_AT = b"\xff\xff\xfd", 7
-"""What must not appear behind a packet's length, and where its instruction stands."""
+"""Bytes that must not appear behind a packet's length, and the index of its instruction."""
 _STATUS = 0x55
 _SYNC_READ, _SYNC_WRITE, _FAST_SYNC_READ = 0x82, 0x83, 0x8A
 _BULK_WRITE = 0x93
@@ -40,7 +40,7 @@ _LONGEST = 2048
 
 @dataclass(frozen=True)
 class Answer:
-    """What one servo said, or why there is nothing: `data` is empty unless `status` is OK."""
+    """The answer of one servo, or why there is none: `data` is empty unless `status` is OK."""
 
     status: Status
     error: int = 0
@@ -203,7 +203,7 @@ class GroupRead:
 class GoalWrite:
     """The one write of a control cycle: four bytes for each servo.
 
-    Drives want Goal Velocity (104) and steers Goal Position (116). Mapped to the same indirect data, a
+    Drives take Goal Velocity (104) and steers Goal Position (116). Mapped to the same indirect data, a
     sync write of 54 bytes serves both; without the map a bulk write of 82 bytes does.
 
     Args:

@@ -131,19 +131,19 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         )
 
     def _report(self, message: can.Message) -> EscStatus | None:
-        said, config = self._reader.take(message.arbitration_id, message.data), self._config
-        ours = said is not None and (said.node_id, said.index) == (config.node_id, config.esc_index)
-        return said if ours and message.is_extended_id else None
+        report, config = self._reader.take(message.arbitration_id, message.data), self._config
+        ours = report is not None and (report.node_id, report.index) == (config.node_id, config.esc_index)
+        return report if ours and message.is_extended_id else None
 
-    def _figures(self, said: EscStatus, t_ns: int) -> Figures:
-        self._volts = said.voltage_v
+    def _figures(self, report: EscStatus, t_ns: int) -> Figures:
+        self._volts = report.voltage_v
         return Figures(
-            speed_rpm=float(said.rpm),
+            speed_rpm=float(report.rpm),
             duty=math.nan,
             motor_a=math.nan,
-            input_a=said.current_a,
-            input_v=said.voltage_v,
-            fet_c=said.temperature_k - _KELVIN,
+            input_a=report.current_a,
+            input_v=report.voltage_v,
+            fet_c=report.temperature_k - _KELVIN,
             motor_c=math.nan,
         )
 
