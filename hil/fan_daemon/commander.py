@@ -1,4 +1,4 @@
-"""The interface through which a driver has its motor commanded: by the daemon process, or in a world."""
+"""Interface between a driver and what commands its motor: the daemon process, or a daemon in a world."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class MotorCommander(Protocol):
 
 
 MakeCommander = Callable[[Spec, Clock], MotorCommander]
-"""Makes the commander of a motor."""
+"""Makes the commander of a motor from (spec, clock)."""
 
 
 _DOES = {

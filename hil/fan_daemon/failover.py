@@ -44,7 +44,7 @@ _LIKE = 0.02
 """Share of the highest set-point by which a new daemon may differ from the bench that steps back."""
 _HAND_OVER_S = 10.0
 _HEARD_BY_NS = nanoseconds(1.5)
-"""A daemon that has just begun may not have heard its fan yet: it is asked again for so long."""
+"""A refused request is repeated for so long: a new daemon may not have a report of its fan yet."""
 _STATUS: Request = {"do": "status"}
 
 
@@ -195,7 +195,7 @@ class FailoverClient(MotorCommander):
         return ""
 
     def _hear(self, t_ns: int) -> None:
-        """Read the daemon's answer, if it has come."""
+        """Process the daemon's answer, if it has arrived."""
         if (link := self._link) is None:
             return
         try:
@@ -317,7 +317,7 @@ class FailoverClient(MotorCommander):
             self._starting = None
 
     def _our_wish(self) -> Request | None:
-        """The request to a new daemon, beside what it takes over by itself."""
+        """The request to send to a new daemon, as it takes over only the set-point that is sent."""
         control = self._cycle.control
         if control.ending:
             return off_request("asked for before the daemon was started anew")

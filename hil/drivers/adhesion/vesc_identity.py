@@ -110,7 +110,7 @@ class BusReplies:
         """Findings on the settings of the controller."""
         settings = answers.settings
         if settings is None:
-            found = f"the controller does not tell; the bench file says {config.timeout_s:g} s"
+            found = f"the controller does not report it; the bench file says {config.timeout_s:g} s"
             yield Finding(name, "time-out", "warning", found, "1 s", _TIMEOUT)
             sent = frozenset(self.messages)
         else:

@@ -152,7 +152,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Findings on the identity, the settings and the daemon of the fan."""
-        silent = "it does not tell its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
+        silent = "it does not report its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
         return (
             Finding(
                 self.name,
