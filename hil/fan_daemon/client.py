@@ -235,7 +235,7 @@ class Connection:
 
     Attributes:
         since_ns: when it began; `answered_ns` when the daemon last answered.
-        asked: the request that is not answered yet.
+        asked: the pending request; None for none.
         uid: the user that the daemon runs as.
     """
 

@@ -26,7 +26,7 @@ class MotorCommander(Protocol):
 
     @abstractmethod
     def end(self, confirmed_by: str) -> None:
-        """Let the motor come to rest along the ramp; `confirmed_by` says why nothing can fall."""
+        """Let the motor come to rest along the ramp; `confirmed_by` is the reason why nothing can fall."""
 
     @abstractmethod
     def status(self) -> Status:

@@ -1,8 +1,8 @@
-"""Decides the set-point that is sent to a fan: a pure function of time, reports heard and requests.
+"""Decides the set-point that is sent to a fan: a pure function of time, received reports and requests.
 
 It never stops a fan by itself. A set-point stays until another is requested; it changes along a ramp; only
 `end` leads down to rest. A fan that runs already when the daemon starts is taken over as it runs. The same
-class works in the daemon's process, in a bench that stands in for it, and in virtual time.
+class works in the daemon's process, in a bench that replaces it, and in virtual time.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def peer(connection: socket.socket) -> Peer:
 
 
 def may_ask(uid: int, owner: int) -> bool:
-    """Whether programs of a user may ask a daemon of another: its own, and root's."""
+    """Whether the user `uid` may send requests to a daemon of `owner`: only the same user and root may."""
     return uid in (0, owner)
 
 

@@ -25,14 +25,14 @@ _LASTING_NS = nanoseconds(0.1)
 
 
 def wait_as_standby(spec: Spec) -> client.Status:
-    """Wait until the daemon of a fan is gone; its last status, empty where none answers."""
+    """Wait until the daemon of a fan is gone; returns its last status, empty where none answers."""
     connection = client.connect(spec)
     if connection is None:
         return {}
     request = json.dumps({"do": "status", "as": "standby", "pid": os.getpid()}).encode()
     latest: client.Status = {}
     with connection:
-        connection.settimeout(None)  # a daemon that hangs has not let go of the fan's name
+        connection.settimeout(None)  # a daemon that hangs still owns the fan's socket name
         while True:
             try:
                 connection.send(request)
@@ -67,7 +67,7 @@ class StandbyStarter:
         self.pid: int | None = None
 
     def heard(self, pid: object) -> None:
-        """Note that the standby `pid` has asked for the status."""
+        """Note that the standby `pid` has requested the status."""
         self._asked_ns = time.monotonic_ns()
         if isinstance(pid, int) and pid != self.pid:
             self.pid, self._came_ns = pid, self._asked_ns

@@ -1,4 +1,4 @@
-"""A python-can bus as a driver needs it: opened, drained within bounds, with errors that say what to do.
+"""A python-can bus for drivers: opened, drained a bounded number at a time, with errors that name a remedy.
 
 In real time a thread receives the frames, as python-can needs 50 us for each, and converts them to samples,
 which the loop takes from a queue. In virtual time (a clock without relation to the time of day) there is no
@@ -117,7 +117,7 @@ def remedy_of_silence(device: str, config: Any, node: str) -> str:
     Args:
         device: name in the bench file.
         config: its table.
-        node: the node that should be heard, as in `check the supply of {node}`.
+        node: the node that should send, as in `check the supply of {node}`.
     """
     shown = f", `ip -details link show {config.channel}`" * (config.interface == "socketcan")
     return (

@@ -13,7 +13,7 @@ from hil.links.streaming_sensor import C, S, StreamingSensor
 
 
 class SerialSensor(StreamingSensor[C, S]):
-    """Base of the drivers of such sensors: define `identify`, `parse`, `sample`, and `configure` for settings.
+    """Base of the drivers of such sensors: define `identify`, `parse`, `sample`, and if needed `configure`.
 
     Attributes:
         port: while open.
@@ -42,7 +42,7 @@ class SerialSensor(StreamingSensor[C, S]):
         """
 
     def configure(self, port: SerialPort) -> None:
-        """Set the device up as its table asks; raises `DeviceError` where that is refused."""
+        """Write the settings of the table to the device; raises `DeviceError` where that is refused."""
         return
 
     @abstractmethod

@@ -42,7 +42,7 @@ class BusReplies:
     messages: set[int] = field(default_factory=set)
 
     def check(self, name: str, link: CanLink, config: VescConfig, answers: Answers, spec: Spec) -> None:
-        """Raise `DeviceError` for a controller that is missing, shares its id, is silent or may let go."""
+        """Raise `DeviceError` for a controller that is missing, silent, of a shared id or a bad time-out."""
         own, port = config.controller_id, link.port
         if not self.pongs[own] and not self.statuses[own]:
             raise self._absent(name, link, config)

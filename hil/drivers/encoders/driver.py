@@ -50,7 +50,7 @@ class Seldom:
         self._skipped = 0
 
     def warn(self, now_ns: int, message: str) -> None:
-        """Log it, unless one was logged less than a second ago; the next one then says how often it came."""
+        """Log a message, or count it if one was logged less than a second ago; the next one has the count."""
         if self._written_ns is not None and 0 <= now_ns - self._written_ns < _EVERY_NS:
             self._skipped += 1
             return

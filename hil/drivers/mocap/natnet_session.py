@@ -1,6 +1,6 @@
 """Talks to a NatNet server: connection, versions, model definitions, keep-alive, frames.
 
-Model definitions say which rigid bodies a server streams, by streaming id. Since 4.1 every definition
+Model definitions list the rigid bodies that a server streams, by streaming id. Since 4.1 every definition
 contains its size; before, all kinds have to be read to get past them.
 """
 
@@ -166,17 +166,17 @@ class Session:
         self._ports = []
 
     def connect(self) -> None:
-        """Ask the server for its description; a unicast server then streams to us."""
+        """Request the server's description; a unicast server then streams to this host."""
         self._send(request(Message.CONNECT, "Ping"))
         if self._agreed and self._asked is not None:
             self.ask_version(self._asked)
 
     def ask_models(self) -> None:
-        """Ask for the model definitions."""
+        """Request the model definitions."""
         self._send(request(Message.REQUEST_MODELS))
 
     def ask_version(self, version: tuple[int, int]) -> None:
-        """Ask for another bit stream; `version` changes when the server has agreed."""
+        """Request another bit stream; `version` changes when the server has agreed."""
         self._asked = version
         self._send(request(Message.REQUEST, "Bitstream,{}.{}".format(*version)))
 

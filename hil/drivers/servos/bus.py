@@ -65,7 +65,7 @@ class Bus:
         self._round_trip_ns = _LONGEST_ROUND_TRIP_NS
 
     def close(self) -> None:
-        """Let go of the port; never raises."""
+        """Close the port; never raises."""
         self.port.closePort()
 
     def set_baud(self, baud: int) -> None:
@@ -132,7 +132,7 @@ class Bus:
         """Send the request of a group read whose answer `answered` will fetch.
 
         Args:
-            group: what to ask.
+            group: the group read.
             timeout_s: how long the answer may take.
             after: a packet without an answer, sent before the request in the same transfer.
         """

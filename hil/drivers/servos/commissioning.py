@@ -54,7 +54,7 @@ class FoundServo:
 def scan(
     port: str, clock: Clock, *, bauds: Iterable[int] = _USUAL, ids: Iterable[int] = _ALL_IDS
 ) -> tuple[FoundServo, ...]:
-    """Servos at a port, by one broadcast ping per baud rate (about 3 ms per ID asked for).
+    """Servos at a port, by one broadcast ping per baud rate (about 3 ms per ID).
 
     Raises:
         DeviceError: the port cannot be opened.
@@ -134,7 +134,7 @@ def set_up(
         dry_run: read and check only; nothing is written.
 
     Returns:
-        (before, after) by name of every register that was asked for.
+        (before, after) by name of every register that was to be written.
 
     Raises:
         UsageError: an unknown register, one that the servo's firmware lacks or a value outside its range;

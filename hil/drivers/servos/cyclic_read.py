@@ -53,7 +53,7 @@ class Reading(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """Which registers a read asks for."""
+    """Address and registers of a read."""
 
     address: int
     fields: Fields
@@ -108,7 +108,7 @@ class CycleReader:
 
     @property
     def live_ids(self) -> tuple[int, ...]:
-        """IDs that the group read asks, in its order."""
+        """IDs of the servos in the group read, in its order."""
         return tuple(self._ids[j] for j in self._order)
 
     def asked(self) -> bool:

@@ -128,7 +128,7 @@ class DynamixelServos(Actuators):
         self._identity = ident.described(config, registers, blocks)
 
     def close(self) -> None:
-        """Bring the wheels to rest and let go of the port; torque stays as it is. Idempotent."""
+        """Bring the wheels to rest and close the port; torque stays as it is. Idempotent."""
         self._keep_alive.end()
         with self._talking:
             if self._bus is None:

@@ -26,7 +26,7 @@ _UNCLEAR = (Status.TIMEOUT, Status.CRC, Status.PROTOCOL)
 
 
 def read_blocks(bus: Bus, config: ServosConfig, clock: Clock) -> list[Answer]:
-    """Registers 0..147 of the eight servos; one that gives no clean answer is asked again for a while.
+    """Registers 0..147 of the eight servos; those without a clean answer are read again for up to 1.5 s.
 
     Raises nothing.
 

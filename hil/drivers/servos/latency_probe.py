@@ -48,7 +48,7 @@ class LatencyProbe:
         self.late_s: dict[int, float] = {}
 
     def is_due(self) -> bool:
-        """Whether unexpected bytes have come, or a servo is to be asked alone; not soon after a probe."""
+        """Whether unexpected bytes have come, or a servo must be read alone; not soon after a probe."""
         if self._clock.now_ns() < self._next_ns:
             return False
         return any(map(self.leaves_alone, self.late_s)) or bool(self._bus.unasked())
@@ -101,7 +101,7 @@ class LatencyProbe:
 
         Args:
             joint: index.
-            group: what to ask.
+            group: the read of this servo.
             in_time_s: how long an answer in time may take.
             patient: whether there is time to wait for a late one.
         """

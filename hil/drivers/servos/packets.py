@@ -98,7 +98,7 @@ class GroupRead:
     """One sync read of the same registers of several servos, plain or fast.
 
     Args:
-        ids: of the servos, in the order asked.
+        ids: of the servos, in the order of the request.
         address: of the first register.
         length: bytes.
         fast: whether they answer in one packet.
@@ -139,7 +139,7 @@ class GroupRead:
         return all(data[k * step : k * step + _FAST_HEAD] == head for k, head in enumerate(self._heads))
 
     def quick(self, data: bytes) -> dict[str, tuple[int, ...]] | None:
-        """Raw counts of all servos by register, in the order asked, of a clean answer without alerts."""
+        """Raw counts of all servos by register, in request order, of a clean answer without alerts."""
         if not self.plausible(data):
             return None
         step = self.length + (_FAST_OVERHEAD if self.fast else _STATUS_OVERHEAD)
@@ -157,7 +157,7 @@ class GroupRead:
         return {name: values[place] for name, place in self._places}
 
     def answers(self, data: bytes) -> dict[int, Answer]:
-        """Answer of every servo asked, whatever arrived."""
+        """Answer of every servo in the request, whatever arrived."""
         found = self._pieces(data) if self.fast else find_statuses(data)
         answers = dict.fromkeys(self.ids, NO_ANSWER)
         for servo_id, answer in found:

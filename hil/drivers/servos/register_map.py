@@ -70,7 +70,7 @@ class RegisterMap:
     """Addresses in the control table of one model.
 
     Attributes:
-        model: whose table it is.
+        model: the model with this table.
         torque, hardware_error, watchdog, goal_velocity: addresses of these registers.
         goal_addresses: of the goal of each joint: the drives' velocity, the steers' position.
         cycle_address, cycle_length: current, velocity and position, one range.

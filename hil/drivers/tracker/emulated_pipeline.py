@@ -165,7 +165,7 @@ class FeedPipeline:
         return self._sensor
 
     def start(self, config: Any, callback: Callable[[Frame], None]) -> FeedDevice:
-        """Subscribe; raises `RuntimeError` when no camera (of the asked serial number) answers."""
+        """Subscribe; raises `RuntimeError` when no camera (of the requested serial number) answers."""
         self.stop()
         self._stopping.clear()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -45,7 +45,7 @@ class Pipeline(Protocol):
     """
 
     def start(self, config: Any, callback: Callable[[Frame], None]) -> Any:
-        """Begin to stream; returns the profile, whose device knows its name and serial number."""
+        """Begin to stream; returns the profile, whose device has a name and a serial number."""
 
     def stop(self) -> None:
         """End the stream."""
@@ -59,11 +59,11 @@ class StreamRequest:
         self.serial: str | None = None
 
     def enable_stream(self, stream: str) -> None:
-        """Ask for a stream by name."""
+        """Request a stream by name."""
         self.streams.append(stream)
 
     def enable_device(self, serial: str) -> None:
-        """Ask for one camera by its serial number."""
+        """Request one camera by its serial number."""
         self.serial = serial
 
     def resolve(self, pipeline: Any) -> Any:

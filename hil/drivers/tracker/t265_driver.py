@@ -182,7 +182,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._stuck.reset(self._clock.now_ns())
 
     def _choose(self) -> tuple[Pipeline, Any]:
-        """The pipeline to run and the library whose names it understands."""
+        """The pipeline to run and the library module that belongs to it."""
         if self._given is not None:
             return self._given, PlainLibrary if self._library is None else self._library
         if self._config.endpoint is not None:

@@ -93,7 +93,7 @@ class Pong:
 
     Attributes:
         controller_id: of the controller that answers.
-        asker_id: of the node that asked.
+        asker_id: of the node that sent the ping.
         hardware: 0 for a motor controller; None from firmware that does not report it.
     """
 
@@ -223,7 +223,7 @@ def _off_delay(order: Order) -> bytes:
 
 
 def ping_frame(controller_id: int, asker_id: int) -> CanFrame:
-    """Asks a controller, or all, for a `Pong` to `asker_id`; renews no time-out."""
+    """The frame that requests a `Pong` to `asker_id` from a controller, or all; renews no time-out."""
     return CanFrame(address(Packet.PING, controller_id), bytes([asker_id]))
 
 

@@ -90,7 +90,7 @@ def set_up(config: MicrostrainConfig) -> Script:
 
 
 def identified() -> Script:
-    """Identify the sensor and change nothing; one that is streaming goes on."""
+    """Identify the sensor and change nothing; a running stream goes on."""
     info = _identified((yield Command("device info", f.BASE, f.DEVICE_INFO, answer=f.DEVICE_INFO_REPLY)))
     return SetUp(info, math.nan)
 
@@ -207,7 +207,7 @@ class Dialogue:
 
 
 def _acknowledged(found: tuple[Field, ...], command: Command) -> int | None:
-    """The code of this command's acknowledgement; None when it is not there."""
+    """The code of this command's acknowledgement; None when that is missing."""
     for field in found:
         if field.descriptor == f.ACK and len(field.data) == 2 and field.data[0] == command.descriptor:
             return field.data[1]
@@ -215,7 +215,7 @@ def _acknowledged(found: tuple[Field, ...], command: Command) -> int | None:
 
 
 def _answer(found: tuple[Field, ...], command: Command) -> bytes | None:
-    """The data that a command asks for, empty when it asks for none; None when they are not there."""
+    """The data that a command requests, empty when it requests none; None when they are missing."""
     if command.answer is None:
         return b""
     return next((field.data for field in found if field.descriptor == command.answer), None)

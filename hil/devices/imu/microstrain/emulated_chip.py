@@ -160,7 +160,7 @@ class MicrostrainChip(SerialChip):
         return self._next_ns
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """Measure, and send what the message format asks for at this tick of the filter."""
+        """Measure, and send the fields that the message format has at this tick of the filter."""
         if t_ns < self._next_ns:
             return []
         tick = self._tick

@@ -49,7 +49,7 @@ LAYOUTS = {
     LINEAR_ACCELERATION: struct.Struct(">3fH"),
     GRAVITY: struct.Struct(">3fH"),
 }
-"""Filter data that a bench uses, in the order in which it asks for them."""
+"""Filter data that a bench uses, in the order of its message format."""
 MEASURED = (QUATERNION, ANGULAR_RATE, LINEAR_ACCELERATION, GRAVITY)
 PACKET_BYTES = (
     HEAD_BYTES + sum(FIELD_HEAD_BYTES + layout.size for layout in LAYOUTS.values()) + CHECKSUM_BYTES

@@ -46,11 +46,11 @@ class Mavlink(DeviceModel):
         )
 
     def probe(self, port: str, clock: Clock) -> Found | None:
-        """Whether odometry arrives at a serial port."""
+        """Listen for odometry at a serial port."""
         return self._listen(MavlinkTrackerConfig(port=port, open_timeout_s=_LISTEN_S), clock)
 
     def search(self, search: Search) -> Found | None:
-        """Whether odometry arrives where the user says, or at the port of ground stations."""
+        """Listen for odometry at the addresses that the user has named, or at the port of ground stations."""
         named = [c for c in search.given.get("tracker", ()) if isinstance(c, MavlinkTrackerConfig)]
         for config in named or [MavlinkTrackerConfig()]:
             search.say(f"listening for MAVLink odometry at {config.port}")

@@ -27,7 +27,7 @@ class Link(Protocol):
         datagrams: whether each arrival is a whole datagram.
         peer: address of the other side before it has sent anything; None where that is not known.
         trouble: why nothing can arrive any more; empty while all is well.
-        gone: whether that has lasted for so long that only opening it again helps.
+        gone: whether the trouble has lasted for so long that the link must be opened again.
         overflowed: arrivals lost because they were not taken in time.
     """
 
