@@ -98,7 +98,7 @@ def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) ->
             connection.send(json.dumps(request).encode())
         packet = connection.recv(MOST_BYTES)
         if not packet:
-            raise ConnectionResetError("it hung up")
+            raise ConnectionResetError("it closed the connection")
     except OSError as error:
         raise DeviceError(
             spec.device, f"{spec.whose} daemon does not answer ({error})", port=spec.name, remedy=_REMEDY
@@ -265,7 +265,7 @@ class Connection:
         except BlockingIOError:
             return None
         if not packet:
-            raise ConnectionResetError("the daemon has hung up")
+            raise ConnectionResetError("the daemon has closed the connection")
         asked, self.asked, self.answered_ns = self.asked, None, t_ns
         return asked, packet
 

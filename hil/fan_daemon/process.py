@@ -151,7 +151,7 @@ class Process:
         try:
             yield
         except Exception as error:
-            self._log.say(f"went wrong, goes on: {type(error).__name__}: {error}")
+            self._log.say(f"internal error, the daemon goes on: {type(error).__name__}: {error}")
 
     def _serve_until(self, end_ns: int) -> None:
         while (left_ns := end_ns - time.monotonic_ns()) > 0:

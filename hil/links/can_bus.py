@@ -104,7 +104,7 @@ def _check_bitrate(device: str, config: Any) -> None:
     if there is not None and there != config.bitrate:
         raise DeviceError(
             device,
-            f"the bus runs at {there} bit/s, {device}.bitrate is {config.bitrate}: no node would be heard",
+            f"the bus runs at {there} bit/s, {device}.bitrate is {config.bitrate}: no frame would arrive",
             port=f"{config.interface}:{config.channel}",
             expected="one bit rate on all of the bus",
             remedy=f"set {device}.bitrate = {there}",

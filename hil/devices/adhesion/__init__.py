@@ -86,8 +86,8 @@ class Adhesion(DeviceKind):
         Plot("Adhesion", "Fan's temperatures (C)", "adhesion/temperature_c"),
     )
     silent_faults: ClassVar[Mapping[str, str]] = {
-        "slow": "reports come less often, and often enough for `safety.adhesion_stale_s`",
-        "delayed": "reports of a moment ago say the same of a fan that turns steadily",
+        "slow": "reports come less often, but often enough for `safety.adhesion_stale_s`",
+        "delayed": "earlier reports have the same values while the fan turns steadily",
     }
 
     def stale_after_s(self, safety: Any, config: Any) -> float:

@@ -55,7 +55,7 @@ def _frames(watched: Watched) -> Iterator[Finding]:
             "failure",
             encoders.two_nodes,
             f"one node of each identifier on {bus}",
-            "set the address switch of one of them otherwise, and encoders.node_id to that of ours",
+            "set another address at the switch of one of them, and encoders.node_id to that of ours",
         )
     if encoders.malformed:
         yield Finding(
@@ -64,7 +64,7 @@ def _frames(watched: Watched) -> Iterator[Finding]:
             "warning",
             f"{encoders.malformed} frames of a wrong length",
             f"frames as in {watched.config.dbc_path.name}",
-            "look which other node sends with these identifiers, or name the node's DBC in encoders.dbc",
+            "find the other node that sends with these identifiers, or name the node's DBC in encoders.dbc",
         )
 
 
