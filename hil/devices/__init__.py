@@ -1,12 +1,11 @@
-"""The registry's shipped half: one package per kind of device, in it one entry per model.
+"""The built-in entries of the device registry: one package per kind of device, one entry per model.
 
-A kind's package says what the bench knows of the kind (`KIND`) and lists its models. A model's entry says how
-it is configured, driven, emulated, found and examined. The drivers and emulated chips of the
-robot of arXiv 2509.04016 lie in `hil.drivers` and `hil.fakes`; a model that came later has them in its own
-folder here, as an installed package has them in its own.
+A kind's package defines the kind (`KIND`) and lists its models. A model's entry defines its configuration,
+driver, emulation, discovery and doctor checks. The drivers and emulated chips of the robot of
+arXiv 2509.04016 are in `hil.drivers` and `hil.fakes`; a model that was added later has both in its own folder
+here, as a model of an installed package has them in that package.
 
-What such a package imports: `hil.core` (kinds, samples, seams, errors), `hil.config.device`,
-`hil.devices.emulated_device` (how an emulated device is connected), `hil.devices.doctor_watch` (what the
-doctor asks),
-`hil.links.serial_url` and `hil.fakes.serial_chip` (bytes on a serial line, from either end).
+Such a package imports: `hil.core` (kinds, samples, interfaces, errors), `hil.config.device`,
+`hil.devices.emulated_device` (how an emulated device is connected), `hil.devices.doctor_watch` (doctor
+checks), `hil.links.serial_url` and `hil.fakes.serial_chip` (bytes on a serial line, from either end).
 """

@@ -15,12 +15,12 @@ from hil.core.signals import Status, worst
 
 LOSS_WARNING, LOSS_FAILURE = 0.02, 0.2
 SUPPLY = "check its supply and cable"
-"""What to do about a device that starts over."""
+"""Remedy for a device that restarts."""
 MORE_WARNING, MORE_FAILURE = 0.05, 0.2
 """Share of samples beyond those that are due: data sheets let the rate of MEMS sensors be off by up to 3 %;
 clocks and their adjustment are off by less than 0.1 %."""
 _AT_THE_ENDS = 2
-"""Samples that a short watch may have beyond that, one at each end."""
+"""Samples beyond that share that a short watch may have, one at each end."""
 _NO_MORE = f"at most {MORE_WARNING:.0%} more than the rate allows"
 _WHY_MORE = "set the device to the rate of the bench file, or mend a driver that delivers samples twice"
 
@@ -54,21 +54,21 @@ class Watched:
 
     @property
     def due(self) -> int:
-        """Samples that a healthy device would have delivered; as many as came where its rate is open."""
+        """Samples that a healthy device delivers; the number received where its rate is not known."""
         rate_hz = self.kind.rate_hz(self.config, self.loop_hz)
         return len(self.samples) if math.isnan(rate_hz) else max(1, round(self.watch_s * rate_hz))
 
     def losses(self, remedy: str, but: Sequence[Status] = ()) -> Iterator[Finding]:
         """How many of the samples that were due are good; `remedy` for when many are missing.
 
-        A status in `but` counts as good: it says something of the surroundings.
+        A status in `but` counts as good: it describes the surroundings, not the device.
         """
         states = (Status.OK if (state := worst(s)) in but else state for s in self.samples)
         yield losses(self.kind.name, states, self.due, remedy)
 
 
 def surplus(count: int, due: float) -> float:
-    """Share by which samples are more than a rate allows; 0 or less where they are not.
+    """Share of samples beyond those due; 0 or less where there are not too many.
 
     Args:
         count: of all samples, good or bad.
@@ -78,9 +78,9 @@ def surplus(count: int, due: float) -> float:
 
 
 def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Finding:
-    """How many of the samples that were due are good, what the others lack, and whether too many came.
+    """How many of the samples that were due are good, the statuses of the others, and whether too many came.
 
-    A device that starts over while it is watched is a failure, however many samples are good.
+    A device that restarts while it is watched is a failure, however many samples are good.
 
     Args:
         name: of the device.
@@ -104,5 +104,5 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
 
 
 def restarted(again: int, count: int) -> str:
-    """What is to be said where samples (`again` of `count`) tell of a restart; empty where none does."""
+    """Message for `again` of `count` samples that report a restart; empty for none."""
     return f"{again} of {count} samples say that it has restarted" if again else ""

@@ -34,15 +34,15 @@ def on_can(
     """An emulated device on a channel.
 
     Args:
-        request: where it is built.
+        request: its world and its table of the bench file.
         channel: its bus.
-        subnet: third byte of its multicast group, so that devices of one process do not share one; at
-            standard ports those of one bus do.
+        subnet: third byte of its multicast group, so that devices of one process have different groups; at
+            standard ports devices of one bus share one.
         dbc: path for clients; empty where there is none.
-        listens: whether it hears what clients send.
+        listens: whether it receives frames from clients.
         printed: further values for clients.
         parts: of the connection in this process.
-        begin: called when it is connected in this process: it may be at work when the bench comes.
+        begin: called when it is connected in this process; it may start the device before the bench opens it.
     """
 
     def connect() -> Connection:
@@ -72,7 +72,7 @@ def on_can(
 
 
 def where(endpoint: Mapping[str, Any], printed: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Keys of a table from an endpoint that was printed; `printed` are no options of the interface."""
+    """Table keys that reach a printed endpoint; the keys `printed` are not options of the interface."""
     keys = ("interface", "channel", "bitrate")
     options = {key: value for key, value in endpoint.items() if key not in (*keys, "dbc", *printed)}
     if endpoint["interface"] == "udp_multicast":

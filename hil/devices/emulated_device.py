@@ -1,7 +1,7 @@
 """Builds and connects an emulated device: in this process for virtual time, or at the wire.
 
 A model's `emulate` takes an `EmulationRequest` and gives an `EmulatedDevice`. Most are a chip behind a serial
-line (`on_serial_line`) or on a CAN bus (`hil.devices.emulated_can`); the others state how they are reached.
+line (`on_serial_line`) or on a CAN bus (`hil.devices.emulated_can`); the others define both connections.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["EmulatedDevice", "EmulationRequest", "Transport", "Wired", "on_seria
 
 
 class EmulatedDevice(Protocol):
-    """An emulated device that nothing is connected to yet. Either of the two is called, once."""
+    """An emulated device without a connection yet. Call `connect` or `serve`, once."""
 
     @abstractmethod
     def connect(self) -> Connection:
@@ -35,7 +35,7 @@ class EmulatedDevice(Protocol):
 
 @dataclass
 class Wired(EmulatedDevice):
-    """An emulated device that is reached in two ways, each a function."""
+    """An emulated device whose two kinds of connection are given as functions."""
 
     connecting: Callable[[], Connection]
     serving: Callable[[], Transport]
@@ -77,7 +77,7 @@ def on_serial_line(
     """A chip behind a USB serial adapter.
 
     Args:
-        request: where it is built.
+        request: its world and its table of the bench file.
         chip: what is at the far end of the line.
         latency_s: latency timer of the adapter.
         printed: what `hil emulate` prints beside the port; the table's baud rate by default.

@@ -1,4 +1,4 @@
-"""Models that are reached in one of two usual ways: at a serial port, or on a CAN bus."""
+"""Base classes of models at a serial port and of models on a CAN bus."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class SerialModel(DeviceModel):
     Its chip is a `hil.fakes.serial_chip.SerialChip` with `build(request)`.
 
     Attributes:
-        probe_bauds: rates at which discovery asks for it: its driver then has the class method
-            `identify_only(config, clock)`, which gives an identity or None and changes no setting. Empty
-            where it is not looked for.
+        probe_bauds: baud rates at which discovery probes for it: its driver then has the class method
+            `identify_only(config, clock)`, which returns an identity or None and changes no setting. Empty
+            where discovery skips it.
     """
 
     probe_bauds: ClassVar[tuple[int, ...]] = ()
@@ -34,7 +34,7 @@ class SerialModel(DeviceModel):
         return on_serial_line(request, loaded(self.chip).build(request))
 
     def probe(self, port: str, clock: Clock) -> Found | None:
-        """Ask at each of the rates, for a short time."""
+        """Probe a port at each of the baud rates, for a short time."""
         default = self.config.model_fields["baud"].default
         for baud in self.probe_bauds:
             config = self.config(port=port, baud=baud, open_timeout_s=_PROBE_S / len(self.probe_bauds))
@@ -50,7 +50,7 @@ class SerialModel(DeviceModel):
 
     @property
     def can_probe(self) -> bool:
-        """Whether discovery asks for it."""
+        """Whether discovery probes serial ports for it."""
         return bool(self.probe_bauds) or super().can_probe
 
 
@@ -60,8 +60,8 @@ class CanModel(DeviceModel):
     Its chip has `build(request, channel)`: a node on an emulated channel.
 
     Attributes:
-        subnet: third byte of the multicast group at which `hil emulate` serves it; 0 for one by its name.
-        listens: whether it hears what clients send.
+        subnet: third byte of the multicast group at which `hil emulate` serves it; 0: by its name.
+        listens: whether it receives frames from clients.
         printed: keys of its table that `hil emulate` prints beside bus and bit rate.
     """
 
@@ -70,7 +70,7 @@ class CanModel(DeviceModel):
     printed: ClassVar[tuple[str, ...]] = ()
 
     def emulate(self, request: Any) -> Any:
-        """The node on a bus of its own."""
+        """Emulate the node on a bus of its own."""
         from hil.devices.emulated_can import channel_of, on_can
 
         channel = channel_of(request)
@@ -97,7 +97,7 @@ class CanModel(DeviceModel):
         return None
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Bus and printed keys."""
+        """Table keys that reach an emulated node: its bus, and the keys `printed`."""
         from hil.devices.emulated_can import where
 
         return where(endpoint, self.printed)

@@ -34,7 +34,7 @@ class BusCycle:
     Args:
         spec: the fan.
         control: decides what to send.
-        say: takes a line of text for each change.
+        say: logs a line of text for each change.
         bus: opened already; opened in the first cycle when None, and again whenever it is lost.
 
     Attributes:
@@ -59,7 +59,7 @@ class BusCycle:
         self.commands = 0
 
     def step(self, t_ns: int) -> None:
-        """Listen, decide, send. Never raises for what a bus does."""
+        """Receive, decide, send. Bus errors do not raise."""
         bus = self._bus or self._opened(t_ns)
         if bus is not None:
             self._listen(bus, t_ns)
@@ -112,7 +112,7 @@ class BusCycle:
         return self._bus
 
     def _listen(self, bus: can.BusABC, t_ns: int) -> None:
-        """Process the frames that have arrived, a bounded number: any node may send as many as it likes."""
+        """Process the frames that have arrived; a bounded number, as any node may send many."""
         take = can_bus.receiver(bus)
         for _ in range(_MOST_FRAMES):
             try:
@@ -126,18 +126,18 @@ class BusCycle:
                 self._take((message.arbitration_id, bytes(message.data)), t_ns)
 
     def _take(self, frame: Wire, t_ns: int) -> None:
-        heard = self._protocol.hear(*frame)
-        if heard is None:
+        content = self._protocol.hear(*frame)
+        if content is None:
             return
-        if heard.order is None:
-            self.control.reported(t_ns, heard.controller_id, heard.report, heard.running)
+        if content.order is None:
+            self.control.reported(t_ns, content.controller_id, content.report, content.running)
         elif frame not in self._mine:
             if self.control.sent is not None and t_ns >= self._quiet_until_ns:
                 self._quiet_until_ns = t_ns + _REPEAT_NS
                 self._say(
-                    f"another program commands this fan: {heard.order.quantity} {heard.order.value:.4g}"
+                    f"another program commands this fan: {content.order.quantity} {content.order.value:.4g}"
                 )
-            self.control.overheard(t_ns, heard.order)
+            self.control.overheard(t_ns, content.order)
 
     def _send(self, bus: can.BusABC, order: SetPoint, t_ns: int) -> None:
         try:

@@ -1,4 +1,4 @@
-"""Finds the daemon of a fan, starts one, and asks it: once, or on a connection that never waits."""
+"""Client of the fan daemon: finds or starts it, and sends requests, blocking or without waiting."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _named(uid: int) -> str:
 
 
 def of_whom(status: Status) -> str:
-    """` of user robot (1000)`, as a message about another user's daemon goes on; empty for one of ours."""
+    """Part of a message such as ` of user robot (1000)`; empty for a daemon of our own user."""
     uid = status.get("uid", os.getuid())
     return "" if uid == os.getuid() else f" of {_named(uid)}"
 
@@ -98,7 +98,7 @@ def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) ->
             connection.send(json.dumps(request).encode())
         packet = connection.recv(MOST_BYTES)
         if not packet:
-            raise ConnectionResetError("it hung up")
+            raise ConnectionResetError("it closed the connection")
     except OSError as error:
         raise DeviceError(
             spec.device, f"{spec.whose} daemon does not answer ({error})", port=spec.name, remedy=_REMEDY
@@ -157,8 +157,8 @@ class Starting:
 
     Args:
         spec: the fan.
-        emulated: whether its bus is known to be emulated: the daemon ends when that is over, or does not
-            begin. It would look too late where the emulator ends while it starts.
+        emulated: whether its bus is known to be emulated: the daemon then ends with the emulator, or does not
+            begin. Its own check would be too late if the emulator ended while the daemon starts.
     """
 
     def __init__(self, spec: Spec, *, emulated: bool) -> None:
@@ -185,7 +185,7 @@ class Starting:
         while select.select([descriptor], [], [], max(0.0, end_s - time.monotonic()))[0]:
             piece = os.read(descriptor, 4096)
             self._text += piece
-            lines = self._text.decode(errors="replace").strip().splitlines() or ["it ended without a word"]
+            lines = self._text.decode(errors="replace").strip().splitlines() or ["it ended without output"]
             with contextlib.suppress(ValueError):
                 said = json_object(lines[-1].encode())
                 self.leave()
@@ -196,7 +196,7 @@ class Starting:
         return None
 
     def leave(self) -> None:
-        """Close the pipe to it, after its first line or when that is no longer awaited. Idempotent."""
+        """Close the pipe to the daemon, after its first line or once that is not awaited. Idempotent."""
         if self._child.stdout is not None:
             self._child.stdout.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -213,7 +213,7 @@ def find_or_start(spec: Spec) -> socket.socket:
     if found is not None:
         return found
     starting = Starting(spec, emulated=is_emulated(spec.bus))
-    said = starting.said(_START_S) or {"error": f"not a word for {_START_S:g} s"}
+    said = starting.said(_START_S) or {"error": f"no output for {_START_S:g} s"}
     starting.leave()
     found = connect(spec)
     if found is None:
@@ -235,7 +235,7 @@ class Connection:
 
     Attributes:
         since_ns: when it began; `answered_ns` when the daemon last answered.
-        asked: the request that is not answered yet.
+        asked: the pending request; None for none.
         uid: the user that the daemon runs as.
     """
 
@@ -265,7 +265,7 @@ class Connection:
         except BlockingIOError:
             return None
         if not packet:
-            raise ConnectionResetError("the daemon has hung up")
+            raise ConnectionResetError("the daemon has closed the connection")
         asked, self.asked, self.answered_ns = self.asked, None, t_ns
         return asked, packet
 

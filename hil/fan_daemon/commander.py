@@ -1,4 +1,4 @@
-"""The interface through which a driver has its motor commanded: by the daemon process, or in a world."""
+"""Interface between a driver and what commands its motor: the daemon process, or a daemon in a world."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class MotorCommander(Protocol):
 
     @abstractmethod
     def end(self, confirmed_by: str) -> None:
-        """Let the motor come to rest along the ramp; `confirmed_by` says why nothing can fall."""
+        """Let the motor come to rest along the ramp; `confirmed_by` is the reason why nothing can fall."""
 
     @abstractmethod
     def status(self) -> Status:
@@ -42,7 +42,7 @@ class MotorCommander(Protocol):
 
 
 MakeCommander = Callable[[Spec, Clock], MotorCommander]
-"""Makes the commander of a motor."""
+"""Makes the commander of a motor from (spec, clock)."""
 
 
 _DOES = {

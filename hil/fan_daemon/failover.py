@@ -44,7 +44,7 @@ _LIKE = 0.02
 """Share of the highest set-point by which a new daemon may differ from the bench that steps back."""
 _HAND_OVER_S = 10.0
 _HEARD_BY_NS = nanoseconds(1.5)
-"""A daemon that has just begun may not have heard its fan yet: it is asked again for so long."""
+"""A refused request is repeated for so long: a new daemon may not have a report of its fan yet."""
 _STATUS: Request = {"do": "status"}
 
 
@@ -54,7 +54,7 @@ class FailoverClient(MotorCommander):
     Args:
         spec: the fan.
         clock: the bench clock; real time.
-        say: takes a line of text when the bench begins or ends to stand in for the daemon.
+        say: logs a line of text when the bench begins or stops commanding the fan instead of the daemon.
     """
 
     def __init__(self, spec: Spec, clock: Clock, *, say: Callable[[str], None] = _LOG.warning) -> None:
@@ -99,12 +99,12 @@ class FailoverClient(MotorCommander):
         self._end = self._clock.schedule(self._task, now_ns)
 
     def set(self, point: SetPoint) -> None:
-        """Ask the daemon for another set-point; `trouble` says if it refuses. Raises `UsageError`."""
+        """Request another set-point from the daemon; `trouble` reports a refusal. Raises `UsageError`."""
         check_point(self._spec, point)
         self._ask_for(set_request(point))
 
     def end(self, confirmed_by: str) -> None:
-        """Ask the daemon to let the fan come to rest."""
+        """Request from the daemon that the fan comes to rest."""
         self._ask_for(off_request(confirmed_by))
 
     def _ask_for(self, wish: Request) -> None:
@@ -116,7 +116,7 @@ class FailoverClient(MotorCommander):
                 self._obey(wish, now_ns)
 
     def status(self) -> Status:
-        """The daemon's latest status, or the bench's own while it stands in."""
+        """The daemon's latest status, or the bench's own while it commands the fan."""
         with self._lock:
             return self._cycle.status(self._clock.now_ns()) if self._in_for else self._status
 
@@ -125,7 +125,7 @@ class FailoverClient(MotorCommander):
         return self._trouble
 
     def close(self) -> None:
-        """Leave the fan to the daemon; a bench that stands in waits for a new daemon first."""
+        """Leave the fan to the daemon; a bench that commands the fan waits for a new daemon first."""
         if self._closed or self._end is None:
             return
         give_up_ns = self._clock.now_ns() + nanoseconds(_HAND_OVER_S)
@@ -157,7 +157,7 @@ class FailoverClient(MotorCommander):
         return t_ns + _LOOK_NS
 
     def _look(self, t_ns: int) -> None:
-        """Read the daemon's answer, stand in for it or step back, send the next request."""
+        """Read the daemon's answer, take over from it or hand back, send the next request."""
         self._hear(t_ns)
         why = self._amiss(t_ns)
         if why and self._emulation.is_over():
@@ -195,7 +195,7 @@ class FailoverClient(MotorCommander):
         return ""
 
     def _hear(self, t_ns: int) -> None:
-        """Read the daemon's answer, if it has come."""
+        """Process the daemon's answer, if it has arrived."""
         if (link := self._link) is None:
             return
         try:
@@ -317,7 +317,7 @@ class FailoverClient(MotorCommander):
             self._starting = None
 
     def _our_wish(self) -> Request | None:
-        """The request to a new daemon, beside what it takes over by itself."""
+        """The request to send to a new daemon, as it takes over only the set-point that is sent."""
         control = self._cycle.control
         if control.ending:
             return off_request("asked for before the daemon was started anew")

@@ -1,8 +1,8 @@
-"""Decides the set-point that is sent to a fan: a pure function of time, reports heard and requests.
+"""Decides the set-point that is sent to a fan: a pure function of time, received reports and requests.
 
-It never ends by itself. A set-point stays until another is requested; it changes along a ramp; only `end`
-leads down to rest. A fan that runs already when the daemon starts is taken over as it runs. The same
-class works in the daemon's process, in a bench that stands in for it, and in virtual time.
+It never stops a fan by itself. A set-point stays until another is requested; it changes along a ramp; only
+`end` leads down to rest. A fan that runs already when the daemon starts is taken over as it runs. The same
+class works in the daemon's process, in a bench that replaces it, and in virtual time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MOST_LISTED = 8
 
 
 class SetPoint(NamedTuple):
-    """What is asked of the fan: `duty` (share), `current_a` (A), `erpm` (1/min as its controller counts)."""
+    """A quantity and its value: `duty` (share), `current_a` (A), `erpm` (1/min as its controller counts)."""
 
     quantity: str
     value: float
@@ -34,7 +34,7 @@ RELEASE = SetPoint("current_a", 0.0)
 
 
 def check_point(spec: Spec, point: SetPoint) -> None:
-    """Raises `UsageError` for a set-point that no motor of this kind could have, or that is none."""
+    """Raise `UsageError` for a quantity that this motor does not have, or a value out of its range."""
     highest = spec.highest.get(point.quantity)
     if highest is None:
         known = ", ".join(spec.highest)
@@ -82,13 +82,13 @@ class FanControl:
     def reported(
         self, t_ns: int, controller_id: int, values: Mapping[str, float], running: SetPoint | None = None
     ) -> None:
-        """A status of a controller was heard.
+        """Take a status report of a controller.
 
         Args:
             t_ns: when.
             controller_id: the controller that sent it.
-            values: figures by name; the one with `erpm` says that it is there.
-            running: what would keep it as it runs; None at rest.
+            values: figures by name; a report with `erpm` shows that it is present.
+            running: the set-point that keeps it as it runs; None at rest.
         """
         if controller_id != self._spec.controller_id:
             self.others.add(controller_id)
@@ -100,7 +100,7 @@ class FanControl:
             self._take_over(t_ns, running)
 
     def overheard(self, t_ns: int, order: SetPoint) -> None:
-        """Another program has commanded this fan: its set-point is exact, the fan's report is rounded.
+        """Take another program's set-point for this fan: it is exact, the fan's report is rounded.
 
         A fan that was taken over follows that program's set-points, down to rest as well, until this daemon
         gets a request; the last one is held when no more of them come.
@@ -130,7 +130,7 @@ class FanControl:
         """Change the set-point; cancels an `end` that is under way.
 
         Raises:
-            UsageError: it is none; the present set-point stays.
+            UsageError: the set-point is not valid; the present one stays.
             DeviceError: the fan does not report how it runs, so a start could be a step.
         """
         self._born(t_ns)

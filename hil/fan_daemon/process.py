@@ -151,7 +151,7 @@ class Process:
         try:
             yield
         except Exception as error:
-            self._log.say(f"went wrong, goes on: {type(error).__name__}: {error}")
+            self._log.say(f"internal error, the daemon goes on: {type(error).__name__}: {error}")
 
     def _serve_until(self, end_ns: int) -> None:
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
@@ -268,7 +268,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
-    """A daemon that owns its fan, in a standby once the other is gone; None where it is not needed."""
+    """A daemon that owns its fan, for a standby once the other daemon is gone; None where not needed."""
     latest: Status = {}
     emulation = Emulation(spec.bus, known=given.emulated)
     while True:
@@ -286,7 +286,7 @@ def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
             process.go_on_from(latest)
             return process
         found = wait_as_standby(spec)
-        if not found:  # it is just going, and its name with it
+        if not found:  # the daemon is just ending; its socket name is free soon
             time.sleep(_NAME_FREE_S)
             continue
         latest = found
@@ -294,10 +294,10 @@ def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
             return None
 
 
-def _print_line(said: Mapping[str, object]) -> None:
-    """Print the one line for the parent process; standard streams lead nowhere afterwards."""
+def _print_line(content: Mapping[str, object]) -> None:
+    """Print the one line for the parent process; then redirect stdin and stdout to the null device."""
     with contextlib.suppress(OSError, ValueError):
-        sys.stdout.write(json.dumps(said) + "\n")
+        sys.stdout.write(json.dumps(content) + "\n")
         sys.stdout.flush()
     _away_with(0, 1)
 

@@ -1,4 +1,4 @@
-"""Lets a process outlive others: leaves their session, ignores signals, gets priority, locks its memory."""
+"""Lets a process outlive others: new session, signals ignored, real-time priority, locked memory."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def ignore_signals(say: Callable[[str], None]) -> None:
 
 
 def detach() -> None:
-    """Leave the process group, session and parent: what ends those ends nothing here."""
+    """Leave process group, session and parent, so that this process does not end with them."""
     if os.fork():
         os._exit(0)
     os.setsid()
@@ -57,7 +57,7 @@ def detach() -> None:
 
 
 def harden() -> str:
-    """Get real-time priority, lock memory, lower the OOM score; what was not permitted, in words."""
+    """Get real-time priority, lock memory, lower the OOM score; returns what was not permitted, in words."""
     refused = []
     sleep_punctually()
     try:
@@ -81,7 +81,7 @@ def harden() -> str:
 
 
 def _locked_in_memory() -> bool:
-    """Lock what there is; later allocations only where no limit could make one fail."""
+    """Lock present memory, and future allocations only where no limit could make one fail."""
     unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     flags = _MCL_CURRENT | (_MCL_FUTURE if unlimited else 0)
     return bool(ctypes.CDLL(None, use_errno=True).mlockall(flags) == 0)

@@ -68,19 +68,19 @@ class Vesc(MotorProtocol):
         """Status 1, 4 and 5, and the set-points of all programs."""
         if frame_id & 0xFF in self._spec.also:
             return None
-        said = vesc.decode(frame_id, data)
-        if isinstance(said, vesc.Status):
-            figures = {"duty": said.duty, "current_a": said.current_a, "erpm": said.erpm}
-            running = SetPoint("duty", said.duty) if said.duty >= _RUNNING_DUTY else None
-            return Heard(said.controller_id, figures, running)
-        if isinstance(said, vesc.Status4):
-            return Heard(said.controller_id, {"fet_c": said.fet_c, "input_a": said.input_a})
-        if isinstance(said, vesc.Status5):
-            return Heard(said.controller_id, {"input_v": said.input_v})
-        if isinstance(said, vesc.Order) and said.packet in _QUANTITIES:
-            if said.controller_id not in (self._spec.controller_id, ALL_SERVOS):
+        message = vesc.decode(frame_id, data)
+        if isinstance(message, vesc.Status):
+            figures = {"duty": message.duty, "current_a": message.current_a, "erpm": message.erpm}
+            running = SetPoint("duty", message.duty) if message.duty >= _RUNNING_DUTY else None
+            return Heard(message.controller_id, figures, running)
+        if isinstance(message, vesc.Status4):
+            return Heard(message.controller_id, {"fet_c": message.fet_c, "input_a": message.input_a})
+        if isinstance(message, vesc.Status5):
+            return Heard(message.controller_id, {"input_v": message.input_v})
+        if isinstance(message, vesc.Order) and message.packet in _QUANTITIES:
+            if message.controller_id not in (self._spec.controller_id, ALL_SERVOS):
                 return None
-            point = SetPoint(_QUANTITIES[said.packet], said.value)
+            point = SetPoint(_QUANTITIES[message.packet], message.value)
             return Heard(self._spec.controller_id, order=point)
         return None
 
@@ -93,9 +93,9 @@ _NODE_STATUS_NS = NS_PER_S
 class DroneCan(MotorProtocol):
     """DroneCAN, by `details` of the spec.
 
-    `esc_index` is its place in the commands, `node_id` ours, `rpm_per_v` of the motor. Such a controller
-    does not say at which duty it runs: it is taken over at its speed, and its duty is what a free motor of
-    that speed has. `erpm` is the speed as `esc.Status` counts it.
+    `esc_index` is the controller's place in the commands, `node_id` ours, `rpm_per_v` of the motor. Such a
+    controller does not report its duty: the fan is taken over at its speed, and its duty is that of an
+    unloaded motor at that speed. `erpm` is the speed as `esc.Status` counts it.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -143,19 +143,19 @@ class DroneCan(MotorProtocol):
         point = SetPoint("duty", value / dronecan.FULL_RAW) if raw else SetPoint("erpm", float(value))
         return Heard(self._spec.controller_id, order=point)
 
-    def _status(self, said: dronecan.EscStatus) -> Heard:
-        figures = {"erpm": float(said.rpm)}
+    def _status(self, status: dronecan.EscStatus) -> Heard:
+        figures = {"erpm": float(status.rpm)}
         known = {
-            "current_a": said.current_a,
-            "input_v": said.voltage_v,
-            "fet_c": said.temperature_k - _KELVIN,
+            "current_a": status.current_a,
+            "input_v": status.voltage_v,
+            "fet_c": status.temperature_k - _KELVIN,
         }
         figures.update((name, value) for name, value in known.items() if math.isfinite(value))
         free_rpm = self._spec.details["rpm_per_v"] * figures.get("input_v", 0.0)
-        if free_rpm > abs(said.rpm):
-            figures["duty"] = abs(said.rpm) / free_rpm
-        running = SetPoint("erpm", float(said.rpm)) if said.rpm >= _RUNNING_RPM else None
-        return Heard(said.node_id, figures, running)
+        if free_rpm > abs(status.rpm):
+            figures["duty"] = abs(status.rpm) / free_rpm
+        running = SetPoint("erpm", float(status.rpm)) if status.rpm >= _RUNNING_RPM else None
+        return Heard(status.node_id, figures, running)
 
 
 _PROTOCOLS: Mapping[str, Callable[[Spec], MotorProtocol]] = {"vesc": Vesc, "dronecan": DroneCan}

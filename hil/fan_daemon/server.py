@@ -1,8 +1,8 @@
 """Serves the daemon's socket: one JSON object a packet, from programs of the same user and of root.
 
 Its name is in Linux' abstract space and names the fan. So it belongs to one process at a time, of
-whatever user; it vanishes with that process; and it does not vanish with a folder, as a socket file in
-`/run/user` does when its owner logs out. It is visible where the CAN interface is: both belong to a network
+any user; it vanishes with that process; and it does not vanish with a folder, as a socket file in
+`/run/user` does when its user logs out. It is visible where the CAN interface is: both belong to a network
 namespace. Each end takes the other's user from the kernel. A daemon answers its own user and root, and
 refuses others with the reason; a program sends requests to a daemon of its own user, one of root to any.
 
@@ -75,12 +75,12 @@ def peer(connection: socket.socket) -> Peer:
 
 
 def may_ask(uid: int, owner: int) -> bool:
-    """Whether programs of a user may ask a daemon of another: its own, and root's."""
+    """Whether the user `uid` may send requests to a daemon of `owner`: only the same user and root may."""
     return uid in (0, owner)
 
 
 def user(uid: int) -> str:
-    """A user, as messages call it: by number, as to look up a name may take longer than a daemon has."""
+    """A user in messages: by number, as looking up a name may take too long for a daemon."""
     return "root" if uid == 0 else f"user {uid}"
 
 
@@ -136,7 +136,7 @@ class Server:
         self.clients = 0
 
     def serve(self, timeout_s: float, answer: Answer) -> None:
-        """Wait for requests, so long at most, and answer those that are there."""
+        """Wait up to `timeout_s` for requests, and answer those that have arrived."""
         for key, _ in self._ready.select(timeout_s)[:_MOST_AT_ONCE]:
             if key.fileobj is self._listener:
                 self._accept()
@@ -194,7 +194,7 @@ class Server:
 
 
 def _turn_away(connection: socket.socket, why: DeviceError) -> None:
-    """Refuse and hang up; the request is read first, or the kernel would throw the answer away."""
+    """Refuse and disconnect; the request is read first, or the kernel would discard the answer."""
     with connection:
         with contextlib.suppress(OSError):
             connection.recv(MOST_BYTES)

@@ -30,7 +30,7 @@ class Spec:
         protocol: of the controller: `vesc` or `dronecan`.
         details: further figures that the protocol needs.
         period_s: time between two commands.
-        timeout_s: after which the controller releases the motor when it hears no command, as it is set there.
+        timeout_s: time without a command after which the controller releases the motor, as set in it.
         ramp_up_s, ramp_down_s: from rest to the highest set-point, and back.
         highest: the highest set-point for each quantity.
     """

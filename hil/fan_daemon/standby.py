@@ -1,7 +1,7 @@
 """The daemon's standby: a second process that reads what the first sends, and takes over when it is gone.
 
 It polls the daemon's status over the same socket as all clients. The kernel hangs up for a process that
-dies, so the standby learns of it within microseconds, whatever else this computer does.
+dies, so the standby detects it within microseconds, whatever else this computer does.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from hil.fan_daemon.spec import Spec
 _ASK_S = 0.025
 _AGAIN_NS, _ABSENT_NS = nanoseconds(5.0), nanoseconds(1.0)
 _LASTING_NS = nanoseconds(0.1)
-"""After a shorter life the next one is started at the slow pace: the same cause would end it, too."""
+"""After a shorter life the next standby is started later: the same cause would end it, too."""
 
 
 def wait_as_standby(spec: Spec) -> client.Status:
-    """Wait until the daemon of a fan is gone; its last status, empty where none answers."""
+    """Wait until the daemon of a fan is gone; returns its last status, empty where none answers."""
     connection = client.connect(spec)
     if connection is None:
         return {}
     request = json.dumps({"do": "status", "as": "standby", "pid": os.getpid()}).encode()
     latest: client.Status = {}
     with connection:
-        connection.settimeout(None)  # a daemon that hangs has not let go of the fan's name
+        connection.settimeout(None)  # a daemon that hangs still owns the fan's socket name
         while True:
             try:
                 connection.send(request)
                 packet = connection.recv(MOST_BYTES)
                 said = json.loads(packet) if packet else {}
-                if "error" in said:  # it has no room for one more
+                if "error" in said:  # the daemon has too many clients
                     return latest
                 latest = said or latest
                 if not packet or select.select([connection], [], [], _ASK_S)[0]:
@@ -53,10 +53,10 @@ class StandbyStarter:
     Args:
         spec: the fan.
         command: command line of a standby.
-        say: takes a line of text for each that comes or goes.
+        say: logs a line of text for each standby that connects or disconnects.
 
     Attributes:
-        pid: of the latest that has asked; None where it has hung up.
+        pid: process id of the latest standby; None once it has disconnected.
     """
 
     def __init__(self, spec: Spec, command: Sequence[str], say: Callable[[str], None]) -> None:
@@ -67,14 +67,14 @@ class StandbyStarter:
         self.pid: int | None = None
 
     def heard(self, pid: object) -> None:
-        """Note that the standby `pid` has asked for the status."""
+        """Note that the standby `pid` has requested the status."""
         self._asked_ns = time.monotonic_ns()
         if isinstance(pid, int) and pid != self.pid:
             self.pid, self._came_ns = pid, self._asked_ns
             self._say(f"{self._whose} daemon has a standby, process {pid}")
 
     def left(self, pid: int) -> None:
-        """A client has hung up. A new standby is due at once, unless this one had only just come."""
+        """A client has disconnected. A new standby is due at once, unless this one had just connected."""
         if pid == self.pid:
             self._say_another_starts("is gone")
             self.pid = self._asked_ns = None

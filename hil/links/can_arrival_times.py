@@ -1,4 +1,4 @@
-"""Puts the arrivals of CAN frames on the bench's time axis."""
+"""Maps the arrival times of CAN frames to the bench clock."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class ArrivalClock:
 
     Interfaces stamp on a clock of their own (mostly the system's real time). Its offset to the bench
     clock is learnt from frames that were waited for, whose stamp is fresh; without a usable stamp the
-    time of draining stands in. Frames that have waited for seconds (the bus was not drained) have stamps
-    that go on from where they were; a clock that was set back has stamps that go back, or that stay old
-    however often the bus is drained.
+    time of draining is used. Frames that have waited for seconds (the bus was not drained) have rising
+    stamps; a clock that was set back has stamps that go back, or that stay old however often the bus is
+    drained.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class ArrivalClock:
         return stamp_ns + known_ns
 
     def _stays_old(self, now_ns: int) -> bool:
-        """Whether drain after drain has brought nothing but frames that seem to have waited long."""
+        """Whether only frames that seem to have waited long have come for 0.2 s."""
         if self._old_since_ns is None:
             self._old_since_ns = now_ns
         return now_ns - self._old_since_ns > _STEPPED_NS

@@ -1,7 +1,7 @@
-"""A python-can bus as a driver needs it: opened, drained within bounds, with errors that say what to do.
+"""A python-can bus for drivers: opened, drained a bounded number at a time, with errors that name a remedy.
 
-In real time a thread takes the frames, as python-can needs 50 us for each, and has samples made of them; the
-loop finds those in a queue. Where nothing leads from the clock to the time of day (virtual time) there is no
+In real time a thread receives the frames, as python-can needs 50 us for each, and converts them to samples,
+which the loop takes from a queue. In virtual time (a clock without relation to the time of day) there is no
 thread.
 """
 
@@ -29,14 +29,14 @@ _MULTICAST_ALL = ((socket.IPPROTO_IP, 49), (socket.IPPROTO_IPV6, 29))
 
 
 def of_own_group(interface: str, bus: can.BusABC) -> can.BusABC:
-    """A bus that has just been opened, which from now on takes frames of the group that it has joined only.
+    """Restrict an open bus to frames of the multicast group that it has joined; returns the bus.
 
-    python-can binds to the port alone, and Linux then passes on whatever group any program of the host has
-    joined. What is sent to the port of this host itself, not to a group, still comes through.
+    python-can binds to the port alone, and Linux then delivers frames of every group that any program of the
+    host has joined. Frames sent to the address of this host itself, not to a group, still arrive.
 
     Args:
-        interface: of python-can; those that are no multicast are left as they are.
-        bus: of that interface; its `fileno` is that of its socket.
+        interface: of python-can; the bus of any other than `udp_multicast` is left as it is.
+        bus: just opened; its `fileno` is that of its socket.
     """
     if interface == "udp_multicast":
         with socket.socket(fileno=os.dup(bus.fileno())) as same:
@@ -56,17 +56,17 @@ BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
 Arrived = tuple[int, can.Message]
 Meaning = Callable[[int, can.Message, int], Any]
-"""What a frame says to a device, of (arrival, frame, time now); None for nothing. In real time a thread
-calls it, and nothing else."""
+"""Converts (arrival, frame, time now) to a sample, times in ns; None for a frame that gives none. In real
+time only the reading thread calls it."""
 T = TypeVar("T")
 
 
 def has_failed(error: str, silent_ns: int) -> bool:
-    """Whether an interface is to be opened again: it reported an error, and nothing has come since then.
+    """Whether an interface must be opened again: it reported an error, and no useful frame came for 0.1 s.
 
     Args:
-        error: that it reported last, empty for none.
-        silent_ns: since the last frame that was of use.
+        error: the last one that it reported, empty for none.
+        silent_ns: time since the last useful frame.
     """
     return bool(error) and silent_ns > _GONE_NS
 
@@ -99,12 +99,12 @@ def open_bus(
 
 
 def _check_bitrate(device: str, config: Any) -> None:
-    """An emulated bus knows its bit rate, where a real one has error frames only, or silence."""
+    """Raise `DeviceError` for an emulated bus of another bit rate; a real one has only errors, or silence."""
     there = bitrate_of(bus_name(config.interface, config.channel, config.options))
     if there is not None and there != config.bitrate:
         raise DeviceError(
             device,
-            f"the bus runs at {there} bit/s, {device}.bitrate is {config.bitrate}: no node would be heard",
+            f"the bus runs at {there} bit/s, {device}.bitrate is {config.bitrate}: no frame would arrive",
             port=f"{config.interface}:{config.channel}",
             expected="one bit rate on all of the bus",
             remedy=f"set {device}.bitrate = {there}",
@@ -112,12 +112,12 @@ def _check_bitrate(device: str, config: Any) -> None:
 
 
 def remedy_of_silence(device: str, config: Any, node: str) -> str:
-    """What to look at where nothing is heard on a bus: what silences all of it first.
+    """Remedy text for a silent bus: first the causes that silence all of it.
 
     Args:
         device: name in the bench file.
         config: its table.
-        node: the node that should be heard, as in `check the supply of {node}`.
+        node: the node that should send, as in `check the supply of {node}`.
     """
     shown = f", `ip -details link show {config.channel}`" * (config.interface == "socketcan")
     return (
@@ -127,7 +127,7 @@ def remedy_of_silence(device: str, config: Any, node: str) -> str:
 
 
 def receiver(bus: can.BusABC) -> Callable[[], can.Message | None]:
-    """What takes the next frame that waits on a bus, without waiting; the frame is only to be read.
+    """A function that returns the next frame that waits on a bus, or None, at once; the frame is read-only.
 
     An emulated bus in this process has frames of its own, which look like messages of python-can.
     """
@@ -136,7 +136,7 @@ def receiver(bus: can.BusABC) -> Callable[[], can.Message | None]:
 
 
 def shut(device: str, bus: can.BusABC | None) -> None:
-    """Let go of a bus, if there is one; never raises."""
+    """Shut a bus down, if there is one; never raises."""
     if bus is not None:
         try:
             bus.shutdown()
@@ -194,7 +194,7 @@ class CanLink:
             self._reader.start()
 
     def close(self) -> None:
-        """Let go of the bus. Idempotent; never raises."""
+        """Close the bus. Idempotent; never raises."""
         bus, self._bus = self._bus, None
         reader, self._reader = self._reader, None
         if reader is not None:
@@ -202,7 +202,7 @@ class CanLink:
         shut(self._device, bus)
 
     def send(self, frame_id: int, data: bytes, *, extended: bool) -> None:
-        """Send one frame; what the bus says against it is kept in `error`."""
+        """Send one frame; an error of the bus is kept in `error`."""
         if self._bus is None:
             return
         try:
@@ -223,9 +223,9 @@ class CanLink:
         return [read.popleft() for _ in range(len(read))]
 
     def listen_for(self, meaning: Meaning) -> None:
-        """From now on `heard` gives what frames say, and `take` nothing.
+        """From now on `heard` gives the samples that `meaning` makes of frames, and `take` gives nothing.
 
-        What waits is dropped: it is older than the next reader would assume.
+        Frames that wait are dropped: they are older than the next reader would assume.
         """
         for _ in range(_MOST_FRAMES):
             if not self.take():
@@ -235,7 +235,7 @@ class CanLink:
     def heard(self) -> list[Any]:
         """Samples of the frames since the last call, oldest first, once `listen_for` was called.
 
-        A program that stood still hears at first what had come before; its thread gets time to catch up.
+        After 0.3 s without a call it waits up to 0.1 s for a sample, so that the thread can catch up.
         """
         said = self._said
         if self._reader is None and self._bus is not None and self._meaning is not None:
@@ -246,13 +246,13 @@ class CanLink:
         return [said.popleft() for _ in range(len(said))] if said else []
 
     def _await(self, queue: deque[Any], wait_ns: int) -> None:
-        """Wait until the thread has brought something, for this long at the most."""
+        """Wait until the thread has put something into the queue, for `wait_ns` at most."""
         end_ns = self._clock.now_ns() + wait_ns
         while not queue and self._clock.now_ns() < end_ns:
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
 
     def _meant(self, arrived: list[Arrived], meaning: Meaning) -> list[Any]:
-        """What frames say, without those that say nothing."""
+        """The samples of frames, without those that give none."""
         now_ns = self._clock.now_ns()
         said = [meaning(t_ns, message, now_ns) for t_ns, message in arrived]
         return [one for one in said if one is not None]

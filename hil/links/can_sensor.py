@@ -1,4 +1,4 @@
-"""A sensor that sends unasked on a CAN bus, in one frame or in several for each sample."""
+"""A sensor that streams on a CAN bus, in one frame or in several for each sample."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _LOOK_S, _STANDARD = 0.02, 0x7FF
 
 
 class CanSensor(StreamingSensor[C, S]):
-    """Base of such drivers: give `parse` and `sample`; the table gives `FRAME_IDS`.
+    """Base of the drivers of such sensors: define `parse` and `sample`; the table has `FRAME_IDS`.
 
     A sample is complete when the last of its frames has come; one that lacks a frame is dropped. Identifiers
     above 0x7FF are extended ones.
 
     Attributes:
-        malformed: frames since `open` from which `parse` could make nothing.
+        malformed: samples since `open` whose frames `parse` has rejected.
     """
 
     expected = "the device"

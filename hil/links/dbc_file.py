@@ -33,5 +33,5 @@ def load_database(path: Path) -> Any:
 
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> Any:
-    """A bench of one process is opened many times, and each time three readers ask."""
+    """Parse each text once: a bench is opened many times in one process, each time with three readers."""
     return cantools.database.load_string(text, "dbc")

@@ -1,9 +1,9 @@
 """Maps a device's own time stamps to the bench clock.
 
 Transport only ever delays, so the smallest difference of arrival and device time seen so far is the
-best estimate of their offset. It is let go by 100 ppm so that a slow device clock is followed; with
-200 samples per second and 2 ms of jitter that keeps it within a tenth of a millisecond. When a prompt
-sample shows that earlier ones were late, times go on from where they are instead of backwards.
+best estimate of their offset. It rises by 100 ppm to follow a slow device clock; with 200 samples per
+second and 2 ms of jitter that keeps it within a tenth of a millisecond. When a prompt sample shows that
+earlier ones were late, times do not go back.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class DeviceClock:
     """Offset between one device clock and the bench clock.
 
     Args:
-        latency_ns: smallest delay from measurement to arrival; no arrival can tell it.
+        latency_ns: smallest delay from measurement to arrival, which arrivals cannot show.
     """
 
     def __init__(self, latency_ns: int) -> None:

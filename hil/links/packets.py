@@ -9,7 +9,7 @@ P = TypeVar("P")
 
 
 class PacketParser(Generic[P]):
-    """Takes bytes, gives packets.
+    """Splits a byte stream into packets.
 
     Args:
         length: of the packet that a buffer of at least `head` bytes begins with; 0 where it cannot begin one.
@@ -25,7 +25,7 @@ class PacketParser(Generic[P]):
         self._in_step = False
 
     def feed(self, data: bytes) -> list[P | None]:
-        """Packets that have become whole; one None for each damaged stretch after a whole packet."""
+        """Packets that these bytes complete; one None for each damaged stretch after a whole packet."""
         self._buffer += data
         found: list[P | None] = []
         while len(self._buffer) >= self._head:
@@ -45,17 +45,17 @@ class PacketParser(Generic[P]):
 
 
 class LineParser:
-    """Whole lines out of a byte stream, without their ends.
+    """Splits a byte stream into lines, without their ends.
 
     Args:
-        longest: bytes of a line; what is longer is dropped.
+        longest: most bytes kept of an unfinished line; the oldest are dropped.
     """
 
     def __init__(self, longest: int = 4096) -> None:
         self._rest, self._longest = b"", longest
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Lines that have become whole."""
+        """Lines that these bytes complete."""
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[-self._longest :]
         return [line.rstrip(b"\r") for line in lines]

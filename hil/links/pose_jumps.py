@@ -10,11 +10,11 @@ _Pose: TypeAlias = tuple[float, Sequence[float], Sequence[float]]
 
 
 class JumpTest:
-    """Holds every pose against the last one that was believed.
+    """Compares every pose with the last one that was accepted.
 
-    A pose that no plausible motion explains is a jump. Poses go on being jumps until either they are
-    back where motion explains them (an outlier), or `reaccept_after` of them in a row agree with
-    each other: then the stream goes on from the new place.
+    A pose that no plausible motion explains is a jump. The poses after it are jumps too, until either
+    they are back where motion explains them (an outlier), or `reaccept_after` of them in a row agree
+    with each other: then the stream goes on from the new place.
 
     Args:
         distance_m, angle_rad: step that is allowed at any time.
@@ -42,19 +42,19 @@ class JumpTest:
         )
 
     def reset(self) -> None:
-        """Believe the next pose."""
+        """Accept the next pose."""
         self._believed: _Pose | None = None
         self._candidate: _Pose | None = None
         self._agreeing = 0
         self._trusting = True
 
     def distrust(self) -> None:
-        """The frame of the poses has changed: believe nothing until poses agree with each other."""
+        """The frame of the poses has changed: accept none until poses agree with each other."""
         self.reset()
         self._trusting = False
 
     def jumped(self, t_s: float, position_m: Sequence[float], quaternion_wxyz: Sequence[float]) -> bool:
-        """Whether this pose cannot follow from the last believed one."""
+        """Whether this pose cannot follow from the last accepted one."""
         pose = (t_s, position_m, quaternion_wxyz)
         known = self._believed
         if self._trusting if known is None else self._continues(known, pose):

@@ -1,4 +1,4 @@
-"""An open serial port of a driver: bytes in, bytes out. Errors of pyserial end here."""
+"""An open serial port of a driver. Errors of pyserial become `DeviceError`."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class SerialPort:
             raise cannot_open(device, url, error, expected=expected) from None
 
     def close(self) -> None:
-        """Let go of the port; never raises."""
+        """Close the port; never raises."""
         let_go(self._port)
 
     def read_available(self) -> bytes:
-        """Bytes that have come; waits for none. Raises `PortLostError`."""
+        """Bytes that have arrived; never waits. Raises `PortLostError`."""
         try:
             count = self._port.in_waiting
             return self._port.read(count) if count else b""
@@ -83,7 +83,7 @@ class SerialPort:
         Args:
             data: the request; empty to listen only.
             feed: makes packets or lines of bytes (`PacketParser.feed`, `LineParser.feed`).
-            answer: what a packet answers; None for one that is no answer.
+            answer: converts a packet to the answer; None for a packet that is no answer.
             clock: of the bench.
             timeout_s: longest wait.
 

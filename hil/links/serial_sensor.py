@@ -1,4 +1,4 @@
-"""A sensor that sends unasked at a serial port."""
+"""A sensor that streams at a serial port."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.links.streaming_sensor import C, S, StreamingSensor
 
 
 class SerialSensor(StreamingSensor[C, S]):
-    """Base of such drivers: give `identify`, `parse` and `sample`, and `configure` for what is to be set.
+    """Base of the drivers of such sensors: define `identify`, `parse`, `sample`, and if needed `configure`.
 
     Attributes:
         port: while open.
@@ -38,11 +38,11 @@ class SerialSensor(StreamingSensor[C, S]):
         """What is at the open port: model, firmware, serial number. It changes no setting.
 
         Raises:
-            DeviceError: nothing answers, or something else.
+            DeviceError: nothing answers, or another device.
         """
 
     def configure(self, port: SerialPort) -> None:
-        """Set the device up as its table asks; raises `DeviceError` where that is refused."""
+        """Write the settings of the table to the device; raises `DeviceError` where that is refused."""
         return
 
     @abstractmethod
@@ -78,7 +78,7 @@ class SerialSensor(StreamingSensor[C, S]):
             port.close()
 
     def _take(self, now_ns: int) -> list[tuple[Any, int]]:
-        """Measurements, the last one as having just arrived, those before it a period earlier each."""
+        """Measurements with their arrival: the last one now, each one before it a period earlier."""
         if self.port is None:
             return []
         try:

@@ -2,9 +2,9 @@
 
 pyserial's network ports are made for terminals. Here a raw socket sends small packets at once instead
 of waiting for acknowledgements, and an RFC 2217 port negotiates with its server only when a line setting
-changes, not at every time-out that is set and every buffer that is cleared (50 ms each). A local port takes
-what has come without asking first whether something has. It belongs to one program at a time: the first that
-opens it locks it.
+changes, not at every time-out that is set and every buffer that is cleared (50 ms each). A local port reads
+without checking first whether bytes have come. It belongs to one program at a time: the first that opens it
+locks it.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
             self._negotiated = wanted
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived here; what is still under way is judged by its checksum."""
+        """Discard bytes that have arrived; those still under way are left to checksums."""
         if not self.is_open:
             raise serial.PortNotOpenError
         if self._read_buffer is not None:
@@ -88,9 +88,9 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
 
 
 class LocalPort(_Local):  # type: ignore[misc]
-    """A local port: one call of the system where all of a reply is here, and where all of a request fits.
+    """A local port with one system call for a reply that is all here, and for a request that fits at once.
 
-    Whatever else happens is pyserial's to wait for, and to name.
+    In all other cases pyserial waits, and raises the errors.
     """
 
     def read(self, size: int = 1) -> bytes:
@@ -119,8 +119,7 @@ class LocalPort(_Local):  # type: ignore[misc]
 class SharedPort(LocalPort):
     """A local port that several drivers of this program have open, and no other program.
 
-    A lock on a descriptor belongs to that descriptor, so that the drivers could not each have one: they use
-    one together.
+    A lock belongs to one descriptor, so that the drivers could not each hold one: they use one together.
     """
 
     _locks: ClassVar[dict[str, list[int]]] = {}
@@ -185,7 +184,7 @@ def latency_timer(port: str, sysfs: Path = Path("/sys")) -> Path | None:
 
 
 def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> DeviceError:
-    """What `open_serial` has raised, as an error that says what can be done about it.
+    """Convert an exception of `open_serial` to a `DeviceError` with a remedy.
 
     Args:
         device: name in the error.
@@ -209,7 +208,7 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
 
 
 def _elsewhere(port: str, by_id: Path) -> str:
-    """What to do about a port that is not there: a hub that was reset gives its adapters other names."""
+    """Remedy text for a missing port: a hub that was reset gives its adapters other names."""
     if Path(port).parent == by_id:
         return f"plug in the adapter with this serial number, or name another one; {_present(by_id)}"
     return f"check cable and hub; {_present(by_id)}: name the port by its link, which does not change"
@@ -225,7 +224,7 @@ def _present(by_id: Path) -> str:
 
 
 def _permission(port: str) -> str:
-    """How to get leave to use a port: by its group, or by a rule where that would not do."""
+    """Remedy text for a port without permission: its group, or a udev rule where that would not help."""
     group, mode = "dialout", _GROUP_BITS
     with contextlib.suppress(OSError, KeyError):
         found = os.stat(port)
@@ -247,7 +246,7 @@ def open_serial(
     Args:
         url: device path or any pyserial URL.
         baud: bits per second; a raw socket's server must be set to it.
-        timeout_s: of reads, in the port's own waiting.
+        timeout_s: of reads.
         write_timeout_s: of writes, where the port has one.
         shared: whether another driver of this program may have the port open, too: one that only writes, one
             that only reads.

@@ -9,19 +9,19 @@ from hil.core.errors import DeviceError
 from hil.core.signals import MocapSample, Status, TrackerSample
 
 _PAUSE_NS, _PAUSES = 500_000_000, 3
-"""Nothing asked a device meanwhile: longer than so much, and than so many times what came before."""
+"""A gap between calls is a pause if longer than this, and than so many times the gap before it."""
 USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN)
-"""A sender of poses that sends no others than these is as good as silent."""
+"""A sender of poses whose poses all have one of these statuses counts as silent."""
 
 
 class Usefulness:
-    """For how long a device has been of no use; time in which nothing asked it does not count.
+    """Measures how long a device has sent nothing useful; pauses in which it was not read do not count.
 
     Args:
-        limit_s: for how long it may be.
+        limit_s: longest time without useful data.
 
     Attributes:
-        good_ns: when it was of use last, put off by the time in which nothing asked.
+        good_ns: when it last sent useful data, moved on by pauses.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -29,16 +29,16 @@ class Usefulness:
         self.begin(0)
 
     def begin(self, now_ns: int) -> None:
-        """Note that the device was of use at `now_ns`."""
+        """Note that the device sent useful data at `now_ns`."""
         self.good_ns = self._asked_ns = now_ns
         self._between_ns = 0
 
     def lost_ns(self, useful: bool, now_ns: int) -> int:
-        """For how long it has been of no use, once that is longer than it may be; else 0.
+        """Time without useful data, ns, once that exceeds the limit; else 0.
 
         Args:
-            useful: whether it was now.
-            now_ns: when it was asked.
+            useful: whether this read has given useful data.
+            now_ns: time of this read.
         """
         gap_ns, before_ns = now_ns - self._asked_ns, self._between_ns
         self._asked_ns, self._between_ns = now_ns, gap_ns
@@ -52,11 +52,11 @@ class Usefulness:
 
 
 def used_while_closed(device: str, port: str) -> DeviceError:
-    """The error of a device, named with its port, that was not opened before it was used."""
+    """The error for a device, named with its port, that is used before it is opened."""
     return DeviceError(device, "used while closed", port=port, remedy="call open() first")
 
 
 def nothing_usable(noun: str, silent_ns: int, samples: Sequence[MocapSample | TrackerSample]) -> str:
-    """Says that no `noun` (pose, frame) was usable for so long, and what the last of `samples` was."""
+    """Message that no `noun` (pose, frame) was usable for `silent_ns`, with the last sample's status."""
     last = f" (last status {samples[-1].status.value})" if samples else ""
     return f"no usable {noun} for {silent_ns / NS_PER_S:.1f} s{last}"

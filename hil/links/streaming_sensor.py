@@ -1,4 +1,4 @@
-"""A sensor that sends unasked: stamps that rise, frozen samples, and when silence is an error."""
+"""Base of streaming sensors: rising stamps, stuck values, and the time after which silence is an error."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
 
     @abstractmethod
     def _disconnect(self) -> None:
-        """Let go of port or bus; never raises."""
+        """Close port or bus; never raises."""
 
     @abstractmethod
     def _take(self, now_ns: int) -> list[tuple[Any, int]]:
-        """What has come since the last call: measurements (None: damaged) with their arrival (ns)."""
+        """Measurements since the last call (None: damaged), with their arrival (ns)."""
 
     @abstractmethod
     def sample(self, item: Any, stamp: Stamp) -> S:
@@ -86,7 +86,7 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         self.reopen()
 
     def reopen(self) -> None:
-        """As `open`, but samples go on counting; the port or bus was away. Raises `DeviceError`."""
+        """As `open`, after an outage of port or bus: sample numbers go on. Raises `DeviceError`."""
         self._disconnect()
         try:
             identity = self._connect()
@@ -100,7 +100,7 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         self.stuck.reset(self.heard_ns)
 
     def close(self) -> None:
-        """Let go of port or bus; the sensor goes on by itself. Idempotent."""
+        """Close port or bus; the sensor goes on by itself. Idempotent."""
         self._identity = {}
         self._disconnect()
 
@@ -137,7 +137,7 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         )
 
     def silence_details(self) -> str:
-        """What is known of a silence, to be appended to its error."""
+        """Details of a silence, to be appended to the message of its error."""
         return ""
 
     def _stamp(self, arrived_ns: int, now_ns: int) -> Stamp:

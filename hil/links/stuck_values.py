@@ -9,7 +9,7 @@ class StuckTest:
     """Whether readings have been the same to the last bit for too long.
 
     Args:
-        after_s: how long they may be.
+        after_s: longest time for which they may.
     """
 
     def __init__(self, after_s: float) -> None:
@@ -22,7 +22,7 @@ class StuckTest:
         self._changed_ns = now_ns
 
     def stuck(self, reading: object, t_ns: int) -> bool:
-        """Take a reading of `t_ns`."""
+        """Take a reading of time `t_ns`; returns whether readings are stuck."""
         if reading != self._last:
             self._last, self._changed_ns = reading, t_ns
         return t_ns - self._changed_ns > self._after_ns

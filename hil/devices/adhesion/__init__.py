@@ -86,8 +86,8 @@ class Adhesion(DeviceKind):
         Plot("Adhesion", "Fan's temperatures (C)", "adhesion/temperature_c"),
     )
     silent_faults: ClassVar[Mapping[str, str]] = {
-        "slow": "reports come less often, and often enough for `safety.adhesion_stale_s`",
-        "delayed": "reports of a moment ago say the same of a fan that turns steadily",
+        "slow": "reports come less often, but often enough for `safety.adhesion_stale_s`",
+        "delayed": "earlier reports have the same values while the fan turns steadily",
     }
 
     def stale_after_s(self, safety: Any, config: Any) -> float:
@@ -95,7 +95,7 @@ class Adhesion(DeviceKind):
         return float(safety.adhesion_stale_s)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """NaN: the owner of the controller sets how often it reports."""
+        """NaN: the report rate is set in the controller, not in the bench file."""
         return math.nan
 
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
@@ -108,7 +108,7 @@ class Adhesion(DeviceKind):
             yield "adhesion/temperature_c", {"power stage": sample.fet_c, "motor": sample.motor_c}
 
     def forces(self, inputs: Inputs, robot: RobotConfig, config: AdhesionConfig | None) -> Iterator[Force]:
-        """Force of a fan of this speed; none where the speed is not known."""
+        """Force of the fan at its latest speed; none where that is unknown."""
         for sample in inputs.adhesion[-1:]:
             if config is not None and sample.status is Status.OK and math.isfinite(sample.speed_rpm):
                 yield Force("fan", np.zeros(3), np.array([0.0, 0.0, -config.force_at_n(sample.speed_rpm)]))

@@ -1,7 +1,7 @@
 """Runs the daemon of a fan that is emulated in this process, as a part of its world.
 
-On a robot the daemon is a process of its own. Where world and bench share a process, no other could reach
-the fan; so the daemon lives in the world, and the fan goes on when the bench closes or drops it.
+On a robot the daemon is a process of its own. Where world and bench share a process, no other process could
+reach the fan; so the daemon is part of the world, and the fan goes on when the bench closes or drops it.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ def commanded_on_can(
     dbc: Path | str,
     printed: tuple[str, ...],
 ) -> EmulatedDevice:
-    """Emulated controllers on a channel, with a daemon of their world that commands them.
+    """Emulated controllers on a channel, commanded by a daemon in their world.
 
     Args:
-        request: where they are built.
+        request: the world and the table of the bench file.
         channel: their bus.
         nodes: the controllers; they begin in use with the bench.
-        subnet: as of `on_can`.
-        dbc: as of `on_can`.
-        printed: keys of the table that clients get.
+        subnet: as in `on_can`.
+        dbc: as in `on_can`.
+        printed: keys of the table that are printed for clients.
     """
     values = {key: getattr(request.config, key) for key in printed}
 
@@ -100,7 +100,7 @@ class DaemonInWorld(MotorCommander, Scheduled):
         return self
 
     def open(self) -> None:
-        """Begin to command the fan, unless that has begun."""
+        """Start to command the fan, unless already started."""
         if self._due_ns:
             return
         bus = _LifelongBus(self._spec.channel)
@@ -135,7 +135,7 @@ class DaemonInWorld(MotorCommander, Scheduled):
         return self._bus_cycle().bus_error
 
     def close(self) -> None:
-        """Nothing: the fan goes on with its world."""
+        """Do nothing: the fan goes on with its world."""
 
     def _bus_cycle(self) -> BusCycle:
         if self._cycle is None:

@@ -14,7 +14,7 @@ C = TypeVar("C", bound=CanConfig)
 
 
 def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[int]]]:
-    """Each bus with the ids of those that answer a ping or report, where there are any.
+    """Yield each bus with controllers that answer a ping or send reports, and their ids.
 
     A bus on which a daemon commands a fan or propellers is only listened to.
     """
@@ -26,17 +26,17 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
     for bus in buses:
         busy = bus.bus in map(bus_of, running_daemons())
         search.say(f"{'listening' if busy else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
-        asked = VescConfig(
+        query = VescConfig(
             interface=bus.interface,
             channel=bus.channel,
             bitrate=bus.bitrate,
             options=bus.options,
             open_timeout_s=SEARCH_S,
         )
-        link = CanLink("adhesion", asked, search.clock)
+        link = CanLink("adhesion", query, search.clock)
         try:
             link.open()
-            seen = ask_who(link, asked, search.clock, Answers(), silent=busy)
+            seen = ask_who(link, query, search.clock, Answers(), silent=busy)
         except HilError as error:
             search.say(str(error))
             continue

@@ -11,12 +11,12 @@ from hil.devices.serial_and_can_models import CanModel
 
 
 class DaemonFan(CanModel):
-    """A fan that the fan daemon commands. It is not looked for, unless a model says how."""
+    """A fan that the fan daemon commands; discovery skips it unless the model defines `search`."""
 
     dbc: ClassVar[str] = ""
 
     def emulate(self, request: Any) -> Any:
-        """The controller on a bus of its own, commanded from its world."""
+        """The controller on a bus of its own, commanded by a daemon in its world."""
         from hil.devices.adhesion.emulated_daemon import commanded_on_can
         from hil.devices.emulated_can import channel_of
 
@@ -26,12 +26,12 @@ class DaemonFan(CanModel):
         return commanded_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, printed=self.printed)
 
     def search(self, search: Search) -> Found | None:
-        """None: to ask such a bus is to take part in it."""
+        """None: a query would make the asker a node of the bus."""
         return None
 
     @property
     def can_search(self) -> bool:
-        """Whether a model says how."""
+        """Whether the model defines `search`."""
         return type(self).search is not DaemonFan.search
 
 

@@ -46,7 +46,7 @@ def look(watched: Watched) -> Iterator[Finding]:
 
 
 def _frames(watched: Watched) -> Iterator[Finding]:
-    """Frames that bear our identifiers and are not as this node sends them."""
+    """Findings on frames with the node's identifiers: a second node that sends them, a wrong length."""
     encoders, bus = watched.device, watched.config.bus
     if encoders.two_nodes:
         yield Finding(
@@ -55,7 +55,7 @@ def _frames(watched: Watched) -> Iterator[Finding]:
             "failure",
             encoders.two_nodes,
             f"one node of each identifier on {bus}",
-            "set the address switch of one of them otherwise, and encoders.node_id to that of ours",
+            "set another address at the switch of one of them, and encoders.node_id to that of ours",
         )
     if encoders.malformed:
         yield Finding(
@@ -64,18 +64,18 @@ def _frames(watched: Watched) -> Iterator[Finding]:
             "warning",
             f"{encoders.malformed} frames of a wrong length",
             f"frames as in {watched.config.dbc_path.name}",
-            "look which other node sends with these identifiers, or name the node's DBC in encoders.dbc",
+            "find the other node that sends with these identifiers, or name the node's DBC in encoders.dbc",
         )
 
 
 def _node(watched: Watched) -> Finding:
-    """What the node says of itself; nodes that say nothing are accepted."""
+    """Finding on the status message of the node; a node without one is accepted."""
     status, config = watched.device.node_status, watched.config
     expected = f"frames as in {config.dbc_path.name}, {config.rate_hz:g} Hz"
     remedy = "flash the firmware of this version (firmware/as5045_node), or name its DBC in encoders.dbc"
     if status.other_layout:
         return Finding("encoders", "node", "failure", status.other_layout, expected, remedy)
-    if status.heard and abs(status.rate_hz - config.rate_hz) > 0.5:  # it says whole numbers
+    if status.heard and abs(status.rate_hz - config.rate_hz) > 0.5:  # it reports whole numbers
         found = f"{status}, {status.rate_hz:g} Hz"
         return Finding(
             "encoders", "node", "warning", found, expected, f"set encoders.rate_hz to {status.rate_hz:g}"
@@ -100,7 +100,7 @@ def encoder_state(sample: EncoderSample, ros: MessageMaker) -> Any:
 
 
 class Encoders(DeviceKind):
-    """Angles of the steering axes, apart from the servos' own."""
+    """Angles of the steering axes, measured by encoders outside the servos."""
 
     name, noun, sample = "encoders", "steering encoders", EncoderSample
     models, aliases, endpoint, labels = (As5045(),), ("can",), "can", WHEELS

@@ -61,11 +61,11 @@ class Bno055(SerialModel):
 
 
 _UNKNOWN = (0.0,) * 9
-"""A covariance, as `sensor_msgs/Imu` has it where nothing is known of it."""
+"""Covariance of `sensor_msgs/Imu` that is unknown: all zeros."""
 
 
 def imu_message(sample: ImuSample, ros: MessageMaker) -> bytes:
-    """`sensor_msgs/Imu` as CDR; acceleration with gravity (specific force), as REP 145 asks."""
+    """`sensor_msgs/Imu` as CDR; acceleration with gravity (specific force), as in REP 145."""
     w, x, y, z = sample.quaternion_wxyz.tolist()
     rates, force = sample.gyro_rad_s.tolist(), sample.specific_force_m_s2.tolist()
     values = (x, y, z, w, *_UNKNOWN, *rates, *_UNKNOWN, *force, *_UNKNOWN)
@@ -81,9 +81,9 @@ class Imu(DeviceKind):
     topics = (Topic("/imu/data", "sensor_msgs/msg/Imu", imu_message),)
     motion_threshold = 0.2  # m/s^2: gravity turns with the robot, 0.17 for a degree
     silent_faults: ClassVar[Mapping[str, str]] = {
-        "jump": "its own heading is not used: gyro and gravity are",
-        "slow": "nothing notices: values of a moment ago come as often as new ones would",
-        "delayed": "nothing notices on a straight way: values of 0.1 s ago carry fresh stamps",
+        "jump": "its own heading is not used, only gyro and gravity",
+        "slow": "no check detects it: old values come as often as new ones would",
+        "delayed": "no check detects it on a straight path: values of 0.1 s ago carry fresh stamps",
     }
 
     def stale_after_s(self, safety: Any, config: Any) -> float:

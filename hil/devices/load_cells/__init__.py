@@ -51,7 +51,7 @@ def look(watched: Watched) -> Iterator[Finding]:
             "warning",
             f"{malformed} frames or lines that are no conversion",
             "conversions only",
-            "look what else sends there, and at load_cells.dbc or load_cells.baud",
+            "find what else sends there; check load_cells.dbc or load_cells.baud",
         )
     for i, label in enumerate(watched.kind.labels):
         statuses = (sample.status[i] for sample in watched.samples)
@@ -102,7 +102,7 @@ class LoadCells(DeviceKind):
     topics = (Topic("/adhesion/cells", "sensor_msgs/msg/JointState", cell_state),)
     plots = (Plot("Adhesion", "Load cells (N)", "adhesion/cells_n"),)
     silent_faults: ClassVar[Mapping[str, str]] = {
-        "delayed": "a force of a moment ago is the same for a fan that turns steadily"
+        "delayed": "earlier forces are the same while the fan turns steadily"
     }
 
     def stale_after_s(self, safety: Any, config: Any) -> float:

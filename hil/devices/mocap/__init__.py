@@ -28,14 +28,14 @@ _MOTIVE_GROUP = "239.255.42.99"
 
 
 class NatNet(DeviceModel):
-    """It is reached by UDP at several ports, and in one process by datagrams: no serial port, no CAN bus."""
+    """OptiTrack Motive, reached by UDP at several ports; in one process the emulator passes datagrams."""
 
     kind, name, title = "mocap", "natnet", "OptiTrack Motive over NatNet"
     config = MocapConfig
     driver, chip = "hil.drivers.mocap:NatNetMocap", "hil.fakes.mocap:NatNetServer"
 
     def emulate(self, request: Any) -> Any:
-        """A server of its own."""
+        """Emulate a NatNet server."""
         from hil.devices.emulated_device import Wired
         from hil.fakes.mocap import NatNetServer, NatNetTransport
 
@@ -55,7 +55,7 @@ class NatNet(DeviceModel):
         return {**where, "local_address": endpoint["server"]}
 
     def search(self, search: Search) -> Found | None:
-        """Ask the capture servers that were named."""
+        """Query the capture servers that the user has named."""
         for config in search.given.get("mocap", ()):
             search.say(f"asking the capture server {config.server}")
             if opens(self.make_driver(config, search.clock)):

@@ -40,7 +40,7 @@ class Dynamixel(SerialModel):
     probe_writes = "a ping of all Dynamixel servos, at each of their baud rates"
 
     def emulate(self, request: Any) -> Any:
-        """The bus behind an adapter whose latency is that of the table."""
+        """Emulate the bus behind an adapter with the latency of the table."""
         from hil.devices.emulated_device import on_serial_line
 
         config: ServosConfig = request.config
@@ -156,7 +156,7 @@ class Servos(DeviceKind):
         Plot("Health", "Voltages (V)", "servos/voltage_v"),
     )
     motion_threshold = 0.01  # rad: a servo holds its place within three counts, 0.005
-    silent_faults: ClassVar[Mapping[str, str]] = {"slow": "answers come later, and within their time"}
+    silent_faults: ClassVar[Mapping[str, str]] = {"slow": "answers come later, but before their time-out"}
 
     def stale_after_s(self, safety: Any, config: Any) -> float:
         """`safety.servo_stale_s`."""

@@ -28,7 +28,7 @@ _PRODUCTS = (0x0483, 0x0487, 0x0489, 0x048A, 0x048B, 0x048C)
 
 
 class Teensy(SerialModel):
-    """Lines to a Teensy, pulses to the propellers' controllers."""
+    """Propellers on a Teensy, which takes lines and sends pulses to their motor controllers."""
 
     kind, name, title = "thrust", "teensy", "propellers on a Teensy"
     config = TeensyConfig
@@ -53,7 +53,7 @@ class Thrust(DeviceKind):
     silent_faults: ClassVar[Mapping[str, str]] = {"*": "this controller sends nothing back"}
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """As often as its table repeats the throttle; NaN where controllers report as they like."""
+        """Rate at which the throttle is repeated; NaN where the controllers set the rate of their reports."""
         return 1.0 / float(getattr(config, "repeat_s", math.nan))
 
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
@@ -62,7 +62,7 @@ class Thrust(DeviceKind):
             yield "adhesion/throttle", {"propellers": inputs.thrust[-1].throttle}
 
     def forces(self, inputs: Inputs, robot: RobotConfig, config: ThrustConfig | None) -> Iterator[Force]:
-        """Push of the propellers at the throttle that was sent last; none where that is not known."""
+        """Push of the propellers at the throttle that was sent last; none where the throttle is unknown."""
         for sample in inputs.thrust[-1:]:
             if config is not None and sample.status is Status.OK and math.isfinite(sample.throttle):
                 yield from itertools.starmap(Force, robot.propellers(config.force_at_n(sample.throttle)))

@@ -1,4 +1,4 @@
-"""Tracking cameras: the pose since they began, by visual-inertial odometry."""
+"""Tracking cameras: the pose relative to their start, by visual-inertial odometry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def look(watched: Watched) -> Iterator[Finding]:
     """Findings about a camera that was watched."""
     statuses, due = [s.status for s in watched.samples], watched.due
     if len(statuses) >= _SLOWEST * due:
-        due = min(due, len(statuses))  # its own rate, a little below the one that is written
+        due = min(due, len(statuses))  # the true rate may be a little below the configured one
     unsure = any(status not in (Status.OK, Status.STARTING) for status in statuses)
     yield losses("tracker", statuses, due, _UNSURE if unsure else _FEW)
     if watched.samples:
@@ -53,7 +53,7 @@ def _pose(sample: TrackerSample, ros: MessageMaker) -> Any:
 
 
 class Tracker(DeviceKind):
-    """The pose since the camera began, by visual-inertial odometry."""
+    """The pose relative to the camera's start, by visual-inertial odometry."""
 
     name, noun, sample = "tracker", "camera", TrackerSample
     models = (T265(), Mavlink())

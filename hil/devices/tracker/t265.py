@@ -14,18 +14,18 @@ from hil.core.finding import Finding, Level
 from hil.devices.doctor_watch import Watched
 
 _FIRMWARE_S = 10.0
-_USB_IDS = {("03e7", "2150"), ("8087", "0b37")}  # before and after it was given its firmware
+_USB_IDS = {("03e7", "2150"), ("8087", "0b37")}  # before and after its firmware is loaded
 
 
 class T265(DeviceModel):
-    """It is reached through its maker's library, whose pipeline the emulated camera stands in for."""
+    """The T265, reached through its maker's library; the emulated camera replaces the library's pipeline."""
 
     kind, name, title = "tracker", "t265", "Intel RealSense T265 on USB"
     config = T265Config
     driver, chip = "hil.drivers.tracker:T265Tracker", "hil.fakes.tracker:T265"
 
     def emulate(self, request: Any) -> Any:
-        """A camera of its own."""
+        """Emulate a camera."""
         from hil.devices.emulated_device import Wired
         from hil.fakes.tracker import T265 as Camera
         from hil.fakes.tracker import TrackerTransport
@@ -36,11 +36,11 @@ class T265(DeviceModel):
         )
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Address of the process that serves it."""
+        """Address of the process that serves the emulated camera."""
         return {"endpoint": FeedEndpoint(host=endpoint["host"], port=endpoint["port"])}
 
     def search(self, search: Search) -> Found | None:
-        """The camera that its library sees, where the library is installed."""
+        """Find the camera by its library, where the library is installed."""
         from hil.drivers.tracker.librealsense_interface import find_camera, realsense
 
         try:
@@ -72,7 +72,7 @@ class T265(DeviceModel):
 
 
 def _plugged_in(sysfs: Path) -> bool:
-    """Whether USB shows a T265, with or without firmware; yes where the system does not tell."""
+    """Whether USB lists a T265, with or without firmware; True where the system has no such list."""
     if not (sysfs / "bus").is_dir():
         return True
     ids = set()

@@ -1,6 +1,6 @@
-"""A fan behind a motor controller on CAN: a force as a command, and reports as samples.
+"""Base of the drivers of fans on CAN motor controllers: forces to commands, reports to samples.
 
-A speed is converted to the controller's command, and corrected slowly by the measured speed.
+The speed for a force is converted to the controller's set-point, which the measured speed corrects slowly.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from hil.links.silence_limit import Usefulness
 from hil.links.stuck_values import StuckTest
 
 _NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
-"""Battery voltage (V) where the controller reports none that can be."""
+"""Battery voltage (V) that is assumed where the reported one is not between the other two."""
 _EVERY_NS = nanoseconds(0.2)
 _SETTLING_NS, _AFTER_RAMP_NS = nanoseconds(1.5), nanoseconds(0.8)
-"""Time that the fan has from the set-point, and from the end of the daemon's ramp towards it."""
+"""Settling time of the fan after a new set-point, and after the end of the daemon's ramp towards it."""
 _ARRIVED = 0.002
-"""Share of the highest set-point by which what is sent may differ from it at the end of a ramp."""
+"""A ramp has ended when what is sent is within this share of the highest set-point."""
 _TOLERANCE, _GAIN, _MOST = 0.003, 0.5, 0.03
 _MOTOR_OVER_INPUT = 1.25
 _NEAR = 0.15
 _FASTEST = 3.0
-"""Times the rated speed: no fan turns so fast."""
+"""Multiple of the rated speed above which a report is implausible."""
 _VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
-"""Battery and transistors: beyond, a report is damaged and not used."""
+"""Ranges of battery voltage and transistor temperature; a value outside is damaged and not used."""
 _STUCK_S = 0.5
 _RUNNING_RPM = 1000.0
 C = TypeVar("C", bound=MotorConfig)
 
 
 class SpeedTrim:
-    """Keeps a speed up.
+    """Holds a speed by corrections of the set-point.
 
     Args:
-        config: ratings; `command` says in which quantity.
-        speed_rpm: wanted.
+        config: ratings; `command` is the quantity of the set-point.
+        speed_rpm: speed to hold.
         input_v: battery voltage, NaN where unknown.
         now: the fan's latest report.
 
@@ -68,7 +68,7 @@ class SpeedTrim:
             self.point = SetPoint("duty", min(duty, config.daemon_spec()["highest"]["duty"]))
 
     def _first(self, input_v: float) -> SetPoint:
-        """A first guess from the ratings."""
+        """The first set-point, from the ratings."""
         config, highest = self._config, self._config.daemon_spec()["highest"]
         if config.command == "rpm":
             return SetPoint("erpm", config.counts_per_turn * self._wanted_rpm)
@@ -79,7 +79,7 @@ class SpeedTrim:
         return SetPoint("duty", min(duty, highest["duty"]))
 
     def better(self, sample: AdhesionSample, status: Callable[[], Mapping[str, Any]]) -> SetPoint | None:
-        """Another set-point, when the fan has had its time and still turns too fast or too slowly.
+        """A corrected set-point, when the fan has settled and still turns too fast or too slowly; else None.
 
         Args:
             sample: its latest report.
@@ -113,7 +113,7 @@ class SpeedTrim:
 
 
 class Figures(NamedTuple):
-    """What a report says of the fan, NaN where it does not: as in `AdhesionSample`, in its order."""
+    """Values of a report, NaN for those it lacks; named and ordered as in `AdhesionSample`."""
 
     speed_rpm: float
     duty: float
@@ -130,7 +130,7 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
     Args:
         config: bus, id, ratings.
         clock: the bench clock.
-        make_commander: makes what commands the fan, of (spec, clock); the daemon's client when None.
+        make_commander: makes the motor commander from (spec, clock); the daemon's client when None.
     """
 
     name = "adhesion"
@@ -169,15 +169,15 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
         return tuple(samples)
 
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> AdhesionSample | None:
-        said, commander = self._report(message), self._commander
-        figures = None if said is None else self._figures(said, t_ns)
+        report, commander = self._report(message), self._commander
+        figures = None if report is None else self._figures(report, t_ns)
         if figures is None or t_ns <= self._latest_ns:
             return None
         self._latest_ns = t_ns
-        return self._sample(figures, said, t_ns, now_ns, "" if commander is None else commander.trouble())
+        return self._sample(figures, report, t_ns, now_ns, "" if commander is None else commander.trouble())
 
     def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
-        """A report as a sample; `raw` is what never stays the same while a fan runs."""
+        """A report as a sample; `raw` changes with every report while a fan runs, or the report is frozen."""
         status, speed_rpm = Status.OK, abs(figures.speed_rpm)
         if speed_rpm > self._fastest_rpm or abs(figures.duty) > 1.05:
             status = Status.IMPLAUSIBLE
@@ -194,10 +194,10 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
         return AdhesionSample(stamp, *figures, status, trouble)
 
     def set_force_n(self, force_n: float) -> None:
-        """Ask for a force; the speed that gives it is kept up whatever the battery does.
+        """Command a force; the speed that gives it is held while the battery voltage changes.
 
         Raises:
-            UsageError: not a force that the fan may give; nothing is sent.
+            UsageError: the force is out of range; nothing is sent.
         """
         highest_n = self._config.highest_force_n
         if not (math.isfinite(force_n) and 0.0 < force_n <= highest_n):
@@ -212,24 +212,24 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
         self._trim = trim
 
     def set_duty(self, duty: float) -> None:
-        """Ask for a duty as it is; raises `UsageError`."""
+        """Command a fixed duty, without speed corrections; raises `UsageError`."""
         point = self._duty(duty)
         self._must_be_open().set(point)
         self._trim = None
 
     def brace(self) -> None:
-        """Ask for the highest force that is allowed; never raises."""
+        """Command the highest force that is allowed; never raises."""
         with contextlib.suppress(HilError):
             self.set_force_n(self._config.highest_force_n)
 
     @abstractmethod
     def _report(self, message: can.Message) -> Any:
-        """What a frame of the fan's controller reports; None for any other."""
+        """Decode a report of the fan's controller; None for any other frame."""
 
     @abstractmethod
-    def _figures(self, said: Any, t_ns: int) -> Figures | None:
-        """What a report of speed says, with what others have said; None for another report."""
+    def _figures(self, report: Any, t_ns: int) -> Figures | None:
+        """Values of a speed report, completed from other reports; None for another report."""
 
     @abstractmethod
     def _input_v(self) -> float:
-        """Battery voltage as it was reported last; NaN where it was not."""
+        """Last reported battery voltage, V; NaN before the first report."""

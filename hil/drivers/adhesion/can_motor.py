@@ -1,7 +1,7 @@
 """Common base of the drivers of motors on CAN that a daemon commands: opening, closing, silence.
 
-Commands are not sent from here. A daemon sends them, which goes on when this program ends; it only gets new
-set-points. Reports are read from the bus, whichever program commands.
+These drivers send no commands: a daemon does, which goes on when this program ends. They send it new
+set-points, and read reports from the bus, whichever program commands.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ S = TypeVar("S", covariant=True)
 
 
 class DaemonMotor(Holding[S], Generic[C, S]):
-    """One device of one motor or several.
+    """A device with one motor or several.
 
     Args:
         config: bus, ids, ratings.
         clock: the bench clock.
-        make_commander: makes what commands it, of (spec, clock); the daemon's client when None.
+        make_commander: makes the motor commander from (spec, clock); the daemon's client when None.
 
     Attributes:
-        noun: what it is called in messages.
+        noun: name of the device in messages, such as `the fan`.
     """
 
     noun: str
@@ -50,18 +50,18 @@ class DaemonMotor(Holding[S], Generic[C, S]):
         self._forget()
 
     def _forget(self) -> None:
-        """What was read before it was opened does not count."""
+        """Reset the state that is kept of earlier reports."""
         self._sequence = 0
         self._latest_ns = -1
 
     def open(self) -> None:
         """Find the controller, read its settings, and find or start the daemon that commands it.
 
-        Nothing is commanded; what runs goes on as it runs.
+        No command is sent; a motor that runs goes on as it runs.
 
         Raises:
-            ConfigError: a time-out that cannot be meant.
-            DeviceError: it is not there, not alone, reports nothing, or would let go of the robot.
+            ConfigError: an unusable time-out.
+            DeviceError: the controller is missing, shares its id, reports nothing, or may release the robot.
         """
         self.close()
         spec = Spec(**self._config.daemon_spec())
@@ -79,14 +79,14 @@ class DaemonMotor(Holding[S], Generic[C, S]):
 
     @abstractmethod
     def _greet(self, spec: Spec) -> dict[str, str]:
-        """Find the controller on the open bus, check whether it may be trusted; its identity."""
+        """Find the controller on the open bus and check its settings; returns its identity."""
 
     @abstractmethod
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> S | None:
-        """The sample that a frame completes, or None; daemons' commands pass by here, too."""
+        """The sample that a frame completes, or None; frames include commands of daemons."""
 
     def close(self) -> None:
-        """Let go of the bus; what runs goes on. Idempotent; never raises."""
+        """Close the bus; motors that run go on. Idempotent; never raises."""
         self._identity = {}
         commander, self._commander = self._commander, None
         if commander is not None:
@@ -103,7 +103,7 @@ class DaemonMotor(Holding[S], Generic[C, S]):
         return self._commander
 
     def _duty(self, duty: float) -> SetPoint:
-        """A duty as it is; raises `UsageError` for one that cannot be meant."""
+        """The set-point of a duty; raises `UsageError` for one that is not above 0 and at most 1."""
         if not (math.isfinite(duty) and 0.0 < duty <= 1.0):
             raise UsageError(
                 f"{self.name}: a duty of {duty:g}",
@@ -113,7 +113,7 @@ class DaemonMotor(Holding[S], Generic[C, S]):
         return SetPoint("duty", duty)
 
     def _silence(self, whose: str, silent_ns: int, then: str) -> DeviceTimeoutError:
-        """Nothing was heard of `whose` for so long; `then` is what it does without commands."""
+        """The error for `silent_ns` without a report of `whose`; `then`: what it does without commands."""
         return DeviceTimeoutError(
             self.name,
             f"no report of {whose} for {silent_ns / NS_PER_S:.1f} s{self._link.bus_errors()}: once no "

@@ -25,7 +25,7 @@ _READ = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
 
 @dataclass
 class _Slow:
-    """The reports that come at the slower rate; NaN before, and when they stay out."""
+    """Values of the reports at the slower rate, with their times; NaN before the first."""
 
     input_a: float = math.nan
     fet_c: float = math.nan
@@ -34,17 +34,17 @@ class _Slow:
     seen_4_ns: int = -_SLOW_REPORTS_NS
     seen_5_ns: int = -_SLOW_REPORTS_NS
 
-    def take(self, said: Status4 | Status5, t_ns: int) -> None:
-        """A report that has come."""
-        if isinstance(said, Status5):
-            self.input_v, self.seen_5_ns = said.input_v, t_ns
+    def take(self, report: Status4 | Status5, t_ns: int) -> None:
+        """Store the values of a report."""
+        if isinstance(report, Status5):
+            self.input_v, self.seen_5_ns = report.input_v, t_ns
         else:
-            self.input_a, self.fet_c, self.motor_c = said.input_a, said.fet_c, said.motor_c
+            self.input_a, self.fet_c, self.motor_c = report.input_a, report.fet_c, report.motor_c
             self.seen_4_ns = t_ns
 
 
 class VescFan(MotorFan[VescConfig]):
-    """One fan; arguments as of any."""
+    """One fan; arguments as for `MotorFan`."""
 
     def __init__(self, config: VescConfig, clock: Clock, make_commander: MakeCommander | None = None) -> None:
         self._answers, self._seen = Answers(), BusReplies()
@@ -73,17 +73,17 @@ class VescFan(MotorFan[VescConfig]):
             return None
         return cast("Report | None", decode(message.arbitration_id, message.data))
 
-    def _figures(self, said: Report, t_ns: int) -> Figures | None:
+    def _figures(self, report: Report, t_ns: int) -> Figures | None:
         slow = self._slow
-        if not isinstance(said, Status):
-            slow.take(said, t_ns)
+        if not isinstance(report, Status):
+            slow.take(report, t_ns)
             return None
         old_ns = t_ns - _SLOW_REPORTS_NS
         current_4, current_5 = slow.seen_4_ns > old_ns, slow.seen_5_ns > old_ns
         return Figures(
-            said.erpm / self._config.pole_pairs,
-            said.duty,
-            said.current_a,
+            report.erpm / self._config.pole_pairs,
+            report.duty,
+            report.current_a,
             slow.input_a if current_4 else math.nan,
             slow.input_v if current_5 else math.nan,
             slow.fet_c if current_4 else math.nan,
@@ -92,5 +92,5 @@ class VescFan(MotorFan[VescConfig]):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Findings on the settings and the daemon of the controller."""
-        set_so = self._seen.findings(self.name, self._config, self._answers)
-        return (*set_so, finding(self.name, self._commander))
+        settings = self._seen.findings(self.name, self._config, self._answers)
+        return (*settings, finding(self.name, self._commander))

@@ -1,4 +1,4 @@
-"""Finds the controllers on a VESC's bus, and checks that the configured one may be trusted with a robot."""
+"""Finds the controllers on a VESC's bus, and checks the id and the settings of the configured one."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _IDS = "give each controller an id of its own in VESC Tool (App Settings, Genera
 
 @dataclass
 class BusReplies:
-    """What came from the bus while it was looked at.
+    """Replies and reports received during a search on the bus.
 
     Attributes:
-        key: of the bench file, with the controller's id.
-        pongs, statuses: how often each controller answered the one ping, and reported.
+        key: key of the bench file that holds the controller's id.
+        pongs, statuses: how often each controller answered the one ping, and sent status message 1.
         messages: numbers of the status messages that the controller itself sent.
     """
 
@@ -42,7 +42,7 @@ class BusReplies:
     messages: set[int] = field(default_factory=set)
 
     def check(self, name: str, link: CanLink, config: VescConfig, answers: Answers, spec: Spec) -> None:
-        """Raise `DeviceError` where the controller is not there, not alone, silent, or about to let go."""
+        """Raise `DeviceError` for a controller that is missing, silent, of a shared id or a bad time-out."""
         own, port = config.controller_id, link.port
         if not self.pongs[own] and not self.statuses[own]:
             raise self._absent(name, link, config)
@@ -110,7 +110,7 @@ class BusReplies:
         """Findings on the settings of the controller."""
         settings = answers.settings
         if settings is None:
-            found = f"the controller does not tell; the bench file says {config.timeout_s:g} s"
+            found = f"the controller does not report it; the bench file says {config.timeout_s:g} s"
             yield Finding(name, "time-out", "warning", found, "1 s", _TIMEOUT)
             sent = frozenset(self.messages)
         else:
@@ -139,13 +139,13 @@ class BusReplies:
 def ask_who(
     link: CanLink, config: VescConfig, clock: Clock, answers: Answers, *, silent: bool = False
 ) -> BusReplies:
-    """Ping all controllers, ask the own one for its settings, and listen until it is known or time is up.
+    """Ping all controllers, request the configured one's settings, and listen until they come or time is up.
 
     Args:
         link: open bus.
-        config: of the controller that is meant.
+        config: of the configured controller.
         clock: the bench clock.
-        answers: receives how the controller is set.
+        answers: receives the settings of the controller.
         silent: only listen.
     """
     seen = BusReplies()
@@ -171,13 +171,13 @@ def ask_who(
 
 def _take(seen: BusReplies, answers: Answers, config: VescConfig, frame_id: int, data: bytes) -> None:
     command, receiver = frame_id >> 8, frame_id & 0xFF
-    said = decode(frame_id, data)
-    if isinstance(said, Pong):
-        if said.asker_id == config.own_id:
-            seen.pongs[said.controller_id] += 1
-    elif isinstance(said, (Status, Status4, Status5)):
-        seen.statuses[said.controller_id] += isinstance(said, Status)
-        if said.controller_id == config.controller_id:
-            seen.messages.add({Status: 1, Status4: 4, Status5: 5}[type(said)])
+    reply = decode(frame_id, data)
+    if isinstance(reply, Pong):
+        if reply.asker_id == config.own_id:
+            seen.pongs[reply.controller_id] += 1
+    elif isinstance(reply, (Status, Status4, Status5)):
+        seen.statuses[reply.controller_id] += isinstance(reply, Status)
+        if reply.controller_id == config.controller_id:
+            seen.messages.add({Status: 1, Status4: 4, Status5: 5}[type(reply)])
     elif receiver == config.own_id:
         answers.take(command, data)

@@ -25,7 +25,7 @@ class Settings:
 
     Attributes:
         controller_id: its id.
-        timeout_s: after which it lets go of the motor when it hears no command.
+        timeout_s: time without a command after which it releases the motor.
         rates_hz, messages: of its two groups of status messages.
     """
 
@@ -36,18 +36,18 @@ class Settings:
 
     @property
     def sent(self) -> frozenset[int]:
-        """Numbers of the status messages that it sends at all."""
+        """Numbers of the status messages that it sends at a rate above 0."""
         pairs = zip(self.rates_hz, self.messages, strict=True)
         return frozenset(number for rate, which in pairs if rate > 0 for number in which)
 
 
 def question(kind: int, own_id: int) -> bytes:
-    """Data of the frame that asks; the answer comes to `own_id`."""
+    """Data of a request frame; the answer is addressed to `own_id`."""
     return bytes((own_id, 0, kind))
 
 
 class Answers:
-    """Puts answers together.
+    """Reassembles answers from frames.
 
     Attributes:
         firmware: `6.05`, once reported.
@@ -65,7 +65,7 @@ class Answers:
         return bool(self.firmware) and self.settings is not None
 
     def take(self, command: int, data: bytes) -> None:
-        """A frame that came to the asker."""
+        """Take a frame that is addressed to the asker."""
         if command == FILL and data:
             self._put(data[0], data[1:])
         elif command == FILL_LONG and len(data) >= 2:

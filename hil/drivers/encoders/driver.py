@@ -1,4 +1,4 @@
-"""The four steering encoders as a sensor: frames drained from python-can, put together, judged."""
+"""Driver of the four steering encoders: drains CAN frames and combines them to sample sets with a status."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from hil.links.silence_limit import Usefulness, used_while_closed
 
 _EVERY_NS = NS_PER_S
 _LOG = logging.getLogger(__name__)
-_array = np.array  # in a name of our own: looking it up in numpy takes longer
+_array = np.array  # a name of this module: looking it up in numpy takes longer
 _MOST_FRAMES = 1024
 _MOST_PASSED_OVER = 256
 _ERROR_COUNTS = 16
 _WAIT_S = 0.02
 _OVER_NS = 100_000_000
-"""So long after its first frame no more is expected of a set; longer where sets are rarer than that."""
+"""A set ends so long after its first frame, even without all frames; longer where sets are rarer."""
 _OPEN_SETS = 3
 _MOST_LISTED = 8
 _OFTEN, _TOGETHER_NS = 4, 1_000_000_000
-"""A clock that leaps so often within so much is that of two nodes: none restarts in a quarter of a second."""
+"""So many clock jumps within so long mean two nodes: one cannot restart in a quarter of a second."""
 
 
 class Seldom:
-    """One kind of warning.
+    """Logs one kind of warning, at most once a second.
 
     Args:
         log: where it goes.
@@ -50,7 +50,7 @@ class Seldom:
         self._skipped = 0
 
     def warn(self, now_ns: int, message: str) -> None:
-        """Log it, unless one was logged less than a second ago; the next one then says how often it came."""
+        """Log a message, or count it if one was logged less than a second ago; the next one has the count."""
         if self._written_ns is not None and 0 <= now_ns - self._written_ns < _EVERY_NS:
             self._skipped += 1
             return
@@ -71,9 +71,9 @@ class As5045Encoders(Sensor[EncoderSample]):
         incomplete: sample sets that lacked a frame since `open`.
         error_frames: error frames seen on the bus since `open`.
         passed_over: frames of no use since `open`: of others, malformed, repeated, and failures of the bus.
-        restarted: when the node's clock leapt lately, ns: a restart, or another node that sends as this one.
-        floods: reads that met more frames, or more of no use, than they look at; the rest waits.
-        node_status: what the node says of itself, known within about a second of `open`.
+        restarted: times (ns) of the latest jumps of the node's clock: a restart, or a second node.
+        floods: reads that stopped after too many frames, or too many of no use; the rest waits.
+        node_status: the node's status message, known within about a second of `open`.
     """
 
     name = "encoders"
@@ -130,7 +130,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         }
 
     def reopen(self) -> None:
-        """As `open`, after the bus or the node was away: sample sets go on counting."""
+        """As `open`, after an outage: sequence numbers of sample sets go on."""
         self._resumed_at = max(self._resumed_at, self._timeline.sequence)
         self.open()
         self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)
@@ -141,7 +141,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         return has_failed(self._bus_error, self._clock.now_ns() - self._usefulness.good_ns)
 
     def close(self) -> None:
-        """Let go of the bus. Idempotent; never raises."""
+        """Close the bus. Idempotent; never raises."""
         self._identity = {}
         bus, self._bus = self._bus, None
         shut(self.name, bus)
@@ -159,7 +159,7 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     @property
     def two_nodes(self) -> str:
-        """Says that a second node sends with our identifiers, as it seems; empty where none does."""
+        """Message that a second node seems to send with our identifiers; empty for none."""
         often = len(self.restarted) == _OFTEN and self.restarted[-1] - self.restarted[0] < _TOGETHER_NS
         identifiers = ", ".join(f"0x{i:X}" for i in self._layout)
         return (
@@ -186,7 +186,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         return tuple(samples)
 
     def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
-        """Sample sets of the frames that wait; any node on the bus may send, so their number is bounded."""
+        """Sample sets of the frames that wait; a bounded number, as any node on the bus may send."""
         samples: list[EncoderSample] = []
         most, take = self.passed_over + _MOST_PASSED_OVER, receiver(bus)
         for _ in range(_MOST_FRAMES):
@@ -228,7 +228,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         )
 
     def _await_first_set(self) -> None:
-        """Return once complete sets have been seen; explain what was seen instead."""
+        """Wait for complete sets; raises `DeviceError` that names what was seen instead."""
         assert self._bus is not None
         deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
         silences = math.ceil(self._config.open_timeout_s / _WAIT_S) + 1
@@ -276,7 +276,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         return self._silent(self._config.open_timeout_s)
 
     def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
-        """Use one frame; returns a sample set when that completes or cuts short one."""
+        """Process one frame; returns the sample set that it completes or cuts short."""
         layout = self._layout.get(message.arbitration_id)
         data, strange = (
             message.data,
@@ -307,7 +307,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             _LOG.warning("%s at %s sends %s", self.name, self._port, other)
 
     def _pass_over(self, message: can.Message, layout: FrameLayout | None, host_ns: int) -> None:
-        """A frame without words of ours: the node's status, or of no use."""
+        """Process a frame without words of ours: the node's status, or one of no use."""
         if self.node_status.take(message):
             self._warn_of_layout()
             return
@@ -320,7 +320,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {text}")
 
     def _cut_short(self, host_ns: int) -> EncoderSample | None:
-        """As `_finish`, of a set of which nothing more is to come."""
+        """As `_finish`, for a set that lacks frames."""
         self.incomplete += 1
         return self._finish(host_ns)
 

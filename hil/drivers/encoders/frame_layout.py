@@ -1,7 +1,7 @@
 """Bit positions of the encoder frames, taken from a DBC file once and then applied without it.
 
 cantools reads and checks the DBC (`hil.links.dbc_file`); decoding a frame is then two shifts per
-signal, a tenth of the cost of a general decode (a test holds the two against each other).
+signal, a tenth of the cost of a general decode (a test compares the two).
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class FrameLayout:
     time_lsb_s: float
 
     @cached_property
-    def _alike(self) -> tuple[Callable[[bytes | bytearray], tuple[int]], tuple[int, ...]] | None:
-        """How a frame of two words in eight bytes, all in one byte order, is read; None for any other.
+    def _fast(self) -> tuple[Callable[[bytes | bytearray], tuple[int]], tuple[int, ...]] | None:
+        """Fast decoder of a frame of two words in eight bytes of one byte order; None for any other frame.
 
-        Its bytes as one number; then wheel, shift and mask of each word, shift and mask of counter and time.
+        (unpacks the bytes to one number; wheel, shift, mask of each word, shift, mask of counter and time).
         """
         sequence, time = self.sequence, self.time
         orders = {sequence.order, time.order, *(field.order for _, field in self.words)}
@@ -63,11 +63,11 @@ class FrameLayout:
 
     def decode(self, data: bytes | bytearray) -> tuple[int, int, Sequence[tuple[int, int]]]:
         """Raw sequence number, node time and (wheel index, word) of a frame's data."""
-        alike = self._alike
-        if alike is None:
+        fast = self._fast
+        if fast is None:
             words = [(wheel, field.take(data)) for wheel, field in self.words]
             return self.sequence.take(data), self.time.take(data), words
-        number, (left, shift, mask, right, shift_2, mask_2, at, sequence_mask, time_at, time_mask) = alike
+        number, (left, shift, mask, right, shift_2, mask_2, at, sequence_mask, time_at, time_mask) = fast
         (value,) = number(data)
         pair = (left, value >> shift & mask), (right, value >> shift_2 & mask_2)
         return value >> at & sequence_mask, value >> time_at & time_mask, pair

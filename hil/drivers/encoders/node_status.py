@@ -1,9 +1,9 @@
-"""What the encoder node says of itself: its clock and counter, and a status message once a second.
+"""Clock, sequence counter and status message of the encoder node.
 
-The clock wraps. It is put on the bench's time axis: the transport only ever delays, so the smallest
-difference of host time and node time seen so far is the best estimate of their offset; it is let go by 200
-ppm so that a slow node clock is followed. When a prompt frame shows that earlier ones were late, times go
-on from where they are instead of backwards. The status holds firmware, frame layout and counters.
+The clock wraps, and is mapped to the bench clock. The transport only ever delays, so the smallest
+difference of host time and node time seen so far is the best estimate of their offset. It rises by 200 ppm
+to follow a slow node clock. When a prompt frame shows that earlier ones were late, times do not go back.
+The status message comes once a second and holds firmware, frame layout and counters.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class NodeTimeline:
         self.sequence = 0
 
     def update(self, sequence: int, time_raw: int, host_ns: int) -> tuple[int, int, bool]:
-        """One sample set arrived at `host_ns`.
+        """Map the times of a sample set that arrived at `host_ns`.
 
         Returns:
             (bench time of measurement ns, node time unwrapped ns, whether the node has restarted).
@@ -121,17 +121,17 @@ class NodeStatus:
 
     @property
     def firmware(self) -> str:
-        """Firmware version of the node; `?` where it does not say."""
+        """Firmware version of the node; `?` where it is not reported."""
         return str(self._latest.get("Firmware", "?"))
 
     @property
     def rate_hz(self) -> float:
-        """Sample sets per second that the node was built for; 0 where it does not say."""
+        """Sample sets per second that the node was built for; 0 where that is not reported."""
         return float(self._latest.get("Rate", 0))
 
     @property
     def other_layout(self) -> str:
-        """How the node's frames differ from the DBC; empty where they agree or it does not say."""
+        """How the node's frames differ from the DBC; empty where they agree or no layout is reported."""
         if not self._latest or _LAYOUT not in self._latest:
             return ""
         known = next(s for s in self._message.signals if s.name == _LAYOUT).choices or {}
@@ -142,12 +142,12 @@ class NodeStatus:
 
     @property
     def counted(self) -> str:
-        """What went wrong at the node since it was first heard, in words; empty for nothing."""
+        """Errors that the node has counted since its first status frame, in words; empty for none."""
         steps = {k: (self._latest[k] - self._first[k]) % 256 for k in _COUNTERS if k in self._latest}
         return ", ".join(f"{n} {_COUNTERS[k]}" for k, n in steps.items() if n)
 
     def __str__(self) -> str:
-        """Firmware, and why it started."""
+        """Firmware and cause of the last reset, in words."""
         if not self._latest:
             return "the node does not say"
         causes = next((s.choices for s in self._message.signals if s.name == "ResetCause"), None) or {}

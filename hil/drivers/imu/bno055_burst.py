@@ -18,7 +18,7 @@ START, LENGTH, MEASURED = 0x14, 34, 32
 Counts = tuple[int, ...]
 
 _LAYOUT = struct.Struct("<3h3h4h3h3hbB")
-_numbers = np.frombuffer  # in a name of our own: looking it up in numpy takes longer
+_numbers = np.frombuffer  # a name of this module: looking it up in numpy takes longer
 _COUNT, _LEVELS = np.dtype("<i2"), 33
 _RAD_S_PER_LSB = math.pi / 180.0 / 16.0
 _SCALE = np.array([_RAD_S_PER_LSB] * 3 + [0.0] * 3 + [1.0 / 16384.0] * 4 + [0.01] * 6)
@@ -62,5 +62,5 @@ def sample(data: bytes, stamp: Stamp, status: Status) -> ImuSample:
 
 
 def empty(stamp: Stamp, status: Status) -> ImuSample:
-    """A sample without values that says why."""
+    """A sample without values (NaN), whose status gives the reason."""
     return ImuSample(stamp, _NAN4, _NAN3, _NAN3, _NAN3, (0, 0, 0, 0), status)

@@ -1,8 +1,8 @@
-"""BNO055 over UART as a sensor: burst reads, what to think of them, and repair after a silent chip reset.
+"""Driver of a BNO055 over UART: burst reads, their status, and repair after an unannounced chip reset.
 
 One burst per `read` covers gyro, quaternion, linear acceleration, gravity and calibration status
-(registers 0x14..0x35, 36 bytes on the wire). A chip that has reset itself answers happily with zeros
-in CONFIG mode; the driver notices, has mode and offsets restored (`chip`), and reports `Status.RESET`.
+(registers 0x14..0x35, 36 bytes on the wire). A chip that has reset itself answers with zeros in
+CONFIG mode; the driver detects that, restores mode and offsets (`bno055_setup`), and reports `Status.RESET`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Bno055Imu(Sensor[ImuSample]):
 
     @classmethod
     def identify_only(cls, config: Bno055Config, clock: Clock) -> dict[str, str] | None:
-        """What is at the port, {} as there is no more to say, or None. The chip keeps its settings."""
+        """{} where a BNO055 is at the port, else None. The chip keeps its settings."""
         try:
             link = Link(config, clock, cls.name)
         except DeviceError:
@@ -107,17 +107,17 @@ class Bno055Imu(Sensor[ImuSample]):
         self._was_reset = self._suspicious = False
 
     def reopen(self) -> None:
-        """As `open`, after the chip was away: it has been reset, and samples go on counting."""
+        """As `open`, after an outage: sample numbers go on, and the first sample has status RESET."""
         self.open()
         self._was_reset = True
 
     @property
     def port_gone(self) -> bool:
-        """Whether the port itself fails, again and again."""
+        """Whether the port itself has failed in three exchanges in a row."""
         return self._link is not None and self._link.port_failures >= _OUTAGE_AFTER
 
     def close(self) -> None:
-        """Let go of the port; the chip goes on by itself. Idempotent."""
+        """Close the port; the chip goes on by itself. Idempotent."""
         self._identity = {}
         if self._link is not None:
             self._link.close()
@@ -130,7 +130,7 @@ class Bno055Imu(Sensor[ImuSample]):
     def read(self) -> tuple[ImuSample, ...]:
         """One burst as one sample; empty between the polls of a silent sensor, and while one is under way.
 
-        A burst that was asked ahead takes longer than a cycle of 200 Hz.
+        A burst that was requested ahead takes longer than a cycle of 200 Hz.
 
         Raises:
             DeviceTimeoutError: nothing usable for `fail_after_s`.
@@ -157,7 +157,7 @@ class Bno055Imu(Sensor[ImuSample]):
         return (sample,)
 
     def _ask_ahead(self, link: Link) -> None:
-        """Request the next burst; when a check is due, up to the registers that a check looks at."""
+        """Request the next burst; when a check is due, with the registers of the check."""
         due = self._clock.now_ns() >= self._next_check_ns
         self._length = _WITH_STATE if due else bno055_burst.LENGTH
         link.ask_ahead(bno055_burst.START, self._length)
@@ -177,12 +177,12 @@ class Bno055Imu(Sensor[ImuSample]):
         return self._link
 
     def _check(self, link: Link, now_ns: int) -> None:
-        """Look at mode and system status."""
+        """Read and evaluate mode and system status."""
         state = link.read(_SYS_STATUS, 5, now_ns + (0 if self._failures else self._retry_ns))
         self._judge_state(state, now_ns)
 
     def _judge_state(self, state: bytes, now_ns: int) -> None:
-        """Registers 0x39 to 0x3D; set the chip up again when it has lost its mode."""
+        """Evaluate registers 0x39 to 0x3D; set the chip up again when it has lost its mode."""
         self._suspicious = False
         self._checked_ns, self._next_check_ns = now_ns, now_ns + self._check_ns
         self._system_error = state[1] if state[0] == _SYSTEM_ERROR else 0
@@ -193,7 +193,7 @@ class Bno055Imu(Sensor[ImuSample]):
             self._suspicious, self._was_reset = False, True
 
     def _failed(self, error: ExchangeError) -> ImuSample:
-        """A sample that says why there is none; raises once the failure has lasted too long."""
+        """A sample without values, with the status of the failure; raises once that has lasted too long."""
         now_ns = self._clock.now_ns()
         self._failures += 1
         self._suspicious = True

@@ -1,7 +1,7 @@
 """Request and reply with a BNO055 over a pyserial port: framing, error codes, bounded repetition.
 
 Two bytes are read first, then the rest: a plain `read(2 + n)` would wait its whole time-out on a
-two-byte error reply (Bosch BNO055 datasheet 4.7). Vendor exceptions end here.
+two-byte error reply (Bosch BNO055 datasheet 4.7). Exceptions of pyserial become `ExchangeError`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Link:
 
     @contextmanager
     def patient(self) -> Iterator[None]:
-        """Outside the control cycle: replies may take longer meanwhile, when the host is busy."""
+        """Allow longer reply times within the context, for a busy host; not for the control cycle."""
         before_s = self._port.timeout
         self._port.timeout = before_s + _PATIENCE_S
         try:
@@ -77,7 +77,7 @@ class Link:
                 self._port.timeout = before_s
 
     def close(self) -> None:
-        """Let go of the port; never raises."""
+        """Close the port; never raises."""
         let_go(self._port)
 
     def read(self, register: int, length: int, deadline_ns: int) -> bytes:
@@ -89,7 +89,7 @@ class Link:
         self._repeat(bytes((0xAA, WRITE, register, len(data))) + data, 0, deadline_ns)
 
     def ask_ahead(self, register: int, length: int) -> None:
-        """Send a read request now whose reply a later `read` of the same registers will find waiting."""
+        """Send a read request now; a later `read` of the same registers takes its reply."""
         request = bytes((0xAA, READ, register, length))
         try:
             self._send(request)
@@ -98,7 +98,7 @@ class Link:
         self._ahead = request
 
     def under_way(self, patience_ns: int) -> bool:
-        """Whether nothing has come yet of what was asked ahead, not longer than `patience_ns` ago."""
+        """Whether a request was sent ahead less than `patience_ns` ago and no reply byte has come yet."""
         if not self._ahead or self._clock.now_ns() - self.asked_ns >= patience_ns:
             return False
         try:

@@ -1,7 +1,7 @@
 """Identity, set-up and learnt offsets of a BNO055, outside its measuring cycle.
 
-All of it happens in CONFIG mode, which the chip is brought into and out of here; what fails ends in the
-`DeviceError` that says so.
+All of it but the identification happens in CONFIG mode, which the chip is brought into and out of here.
+Failures raise `DeviceError`, those of `repair` `ExchangeError`.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ _END = 0.995
 
 
 class Judge:
-    """Makes samples of counts.
+    """Converts counts to samples.
 
     Args:
         config: scales and range.
@@ -26,7 +26,7 @@ class Judge:
         self._stuck = (StuckTest(_STUCK_S), StuckTest(_STUCK_S))
 
     def sample(self, raw: tuple[int, int], stamp: Stamp) -> LoadCellSample:
-        """A conversion of both cells: counts, and when it was made."""
+        """The sample of one conversion: raw counts of both cells, and its stamp."""
         (first_n, first), (second_n, second) = (self._judged(k, raw[k], stamp.t_ns) for k in (0, 1))
         return LoadCellSample(stamp, np.array((first_n, second_n)), (first, second), raw)
 

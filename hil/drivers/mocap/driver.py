@@ -1,4 +1,4 @@
-"""OptiTrack motion capture as a sensor: one rigid body, on the bench clock, in a z-up frame, judged."""
+"""Driver of OptiTrack motion capture: one rigid body, on the bench clock, in a z-up frame, with a status."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LOG = logging.getLogger(__name__)
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _FARTHEST_M = 1000.0
 _LONGEST_UP_S, _LONGEST_LATENCY_S = 5_000_000_000, 10
-_array = np.array  # in a name of our own: looking it up in numpy takes longer
+_array = np.array  # a name of this module: looking it up in numpy takes longer
 _NAN7 = (math.nan,) * 7
 _OK, _WITHOUT_POSE = Status.OK, (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED)
 _REMEDY = (
@@ -63,7 +63,7 @@ class NatNetMocap(Sensor[MocapSample]):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Packets passed over since `open`: malformed, from strangers, repeated, lost unread; and floods."""
+        """Packets not used since `open`: malformed, of other senders, repeated, lost unread; and floods."""
         session = self._session
         names = ("malformed", "strangers", "repeated", "overflowed", "floods")
         return {name: 0 if session is None else getattr(session, name) for name in names}
@@ -102,7 +102,7 @@ class NatNetMocap(Sensor[MocapSample]):
         }
 
     def reopen(self) -> None:
-        """As `open`, after server or network were away: frames go on counting."""
+        """As `open`, after an outage: sample numbers go on."""
         self._resumed_at = max(self._resumed_at, self._seq_base + self._number)
         self.open()
         self._seq_base = max(0, self._resumed_at - self._number)
@@ -110,7 +110,7 @@ class NatNetMocap(Sensor[MocapSample]):
     port_gone = False  # a silent network looks like a silent server
 
     def close(self) -> None:
-        """Let go of the ports. Idempotent; never raises."""
+        """Close the ports. Idempotent; never raises."""
         self._identity = {}
         if self._session is not None:
             self._session.close()
@@ -206,7 +206,7 @@ class NatNetMocap(Sensor[MocapSample]):
         return MocapSample(stamp, values[:3], values[3:], tracked, latency_s, error_m, status)
 
     def _stamp(self, frame: Frame, arrived_ns: int) -> tuple[Stamp, bool, float]:
-        """When the cameras exposed, from the server's clock; its latency to the sending of the frame."""
+        """Stamp of the exposure, whether it is credible, and the latency from exposure to sending, s."""
         assert self._session is not None
         assert self._session.server is not None
         clock_hz = self._session.server.clock_hz

@@ -87,7 +87,7 @@ def parse_frame(payload: bytes, version: tuple[int, int], body_id: int) -> Frame
 
 
 class FrameParser:
-    """Frames of one stream: one of the same shape as the one before is taken apart in a single step.
+    """Parses the frames of one stream; a frame of the same shape as the last one is unpacked in one step.
 
     Args:
         version: NatNet (major, minor) of the bit stream, at least 3.0.
@@ -109,7 +109,7 @@ class FrameParser:
 
 
 class _Shape:
-    """Where everything is in a frame whose sections tell their sizes, and what must be there to say so.
+    """Layout of a frame whose sections give their sizes, and the bytes that must match for it to apply.
 
     Args:
         layout: of the whole payload: the number, heads of sections and identifiers, the body, the suffix.

@@ -20,7 +20,7 @@ class Handshake:
 
     Args:
         session: open ports to the server.
-        config: what is wanted.
+        config: the wanted version and rigid body.
         clock: the bench clock.
         name: device name in errors.
         silent: makes the error for a silent server.
@@ -104,7 +104,7 @@ class Handshake:
         deadline_ns: int,
         failure: str,
     ) -> list[NewFrame]:
-        """Ask, and ask again, until it is answered; returns the frames that came with the answer."""
+        """Repeat a request until it is answered; returns the frames that came with the answer."""
         ask_ns = self._clock.now_ns()
         while (now_ns := self._clock.now_ns()) < deadline_ns:
             if now_ns >= ask_ns:

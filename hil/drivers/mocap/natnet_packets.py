@@ -25,11 +25,11 @@ class Message(enum.IntEnum):
 
 
 class MalformedPacket(ValueError):
-    """A packet is not what its length, counts or version say; it is dropped and counted."""
+    """A packet contradicts its length, counts or version; it is dropped and counted."""
 
 
 class ServerInfo(NamedTuple):
-    """What a server says about itself.
+    """The description that a server sends of itself.
 
     `version` is (major, minor) of its NatNet bit stream, `clock_hz` the rate of its high-resolution
     time stamps, `multicast` its group or None for unicast (both unknown to servers before 3.0).

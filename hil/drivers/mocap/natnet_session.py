@@ -1,6 +1,6 @@
 """Talks to a NatNet server: connection, versions, model definitions, keep-alive, frames.
 
-Model definitions say which rigid bodies a server streams, by streaming id. Since 4.1 every definition
+Model definitions list the rigid bodies that a server streams, by streaming id. Since 4.1 every definition
 contains its size; before, all kinds have to be read to get past them.
 """
 
@@ -37,7 +37,7 @@ _OLD_FRAMES = 1000
 _FRAME = Message.FRAME.value
 _RESTART_NS = 250_000_000
 NewFrame: TypeAlias = tuple[Frame, int, bool]
-"""A frame, its arrival on the bench clock (ns), and whether the server has begun anew with it."""
+"""A frame, its arrival on the bench clock (ns), and whether the server has restarted before it."""
 
 
 def parse_models(payload: bytes, version: tuple[int, int]) -> dict[int, str]:
@@ -116,11 +116,11 @@ class Session:
         version: (major, minor) of the bit stream.
         bodies: rigid bodies by streaming id, None until it has sent them.
         body_id: the one to look for in frames, None until it is known.
-        malformed: packets that were not what they said.
+        malformed: packets that could not be parsed.
         strangers: packets from other hosts, or frames from another source than the usual one.
         taken: frames that were new.
         repeated: frames that came again or too late; a server that knows both ports sends each one twice.
-        floods: calls of `frames` that met more datagrams of no use than they look at; the rest waits.
+        floods: calls of `frames` that stopped after too many datagrams of no use; the rest waits.
     """
 
     def __init__(self, config: MocapConfig, clock: Clock, datagrams: DatagramFactory) -> None:
@@ -166,17 +166,17 @@ class Session:
         self._ports = []
 
     def connect(self) -> None:
-        """Ask the server for its description; a unicast server then streams to us."""
+        """Request the server's description; a unicast server then streams to this host."""
         self._send(request(Message.CONNECT, "Ping"))
         if self._agreed and self._asked is not None:
             self.ask_version(self._asked)
 
     def ask_models(self) -> None:
-        """Ask for the model definitions."""
+        """Request the model definitions."""
         self._send(request(Message.REQUEST_MODELS))
 
     def ask_version(self, version: tuple[int, int]) -> None:
-        """Ask for another bit stream; `version` changes when the server has agreed."""
+        """Request another bit stream; `version` changes when the server has agreed."""
         self._asked = version
         self._send(request(Message.REQUEST, "Bitstream,{}.{}".format(*version)))
 
@@ -187,7 +187,7 @@ class Session:
             self._send(request(Message.KEEPALIVE))
 
     def frames(self) -> list[NewFrame]:
-        """New frames that have arrived, with their arrival and whether the server has begun anew."""
+        """New frames that have arrived, with their arrival and whether the server has restarted."""
         found: list[NewFrame] = []
         wasted, repeated = 0, self.repeated
         for port in self._ports:
@@ -284,9 +284,9 @@ class Session:
         return frame, back > 0
 
     def _seen_before(self, frame: Frame) -> bool:
-        """Whether a frame has come already, by the other port perhaps and much later.
+        """Whether a frame has been received before, perhaps by the other port and much earlier.
 
-        A server that has begun anew repeats numbers, not times.
+        A server that has restarted repeats numbers, not times.
         """
         seen, number = self._seen, frame.number
         times = (frame.timestamp_s, frame.exposure_ticks, frame.sent_ticks)

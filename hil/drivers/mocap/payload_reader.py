@@ -1,4 +1,4 @@
-"""Reads a payload from front to back and refuses to leave it."""
+"""Reads a payload from front to back; raises `MalformedPacket` for a step beyond its end."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Cursor:
         return value
 
     def count(self, least_size: int) -> int:
-        """A number of items of at least `least_size` bytes each, so many as can still follow."""
+        """A number of items, checked against the bytes left for items of `least_size` bytes or more."""
         value = self.integer()
         if not 0 <= value * least_size <= self.left:
             raise MalformedPacket(f"{value} items announced where {self.left} bytes are left")

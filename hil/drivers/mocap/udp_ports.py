@@ -1,8 +1,8 @@
 """The interface of datagram ports, and its implementation on UDP.
 
-A port takes the time of every arrival, because datagrams wait between two reads. The real port does
-that in a thread of its own; nothing else happens there. A flood costs that thread a bounded share of
-the time: what comes faster than any capture system sends waits in the kernel, which drops the rest.
+A port stamps every arrival, because datagrams wait between two reads. The real port does that in a thread
+of its own, which does nothing else. A flood takes a bounded share of that thread's time: what comes faster
+than any capture system sends waits in the kernel, which drops the rest.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class DatagramPort(Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the port. Idempotent."""
+        """Close the port. Idempotent."""
 
 
 DatagramFactory: TypeAlias = Callable[[str | None, int], DatagramPort]
@@ -65,7 +65,7 @@ class UdpPort(DatagramPort):
 
     Attributes:
         received: datagrams taken from the kernel.
-        overflowed: those of them lost because they were not read.
+        overflowed: datagrams lost because they were not read in time.
     """
 
     def __init__(self, clock: Clock, group: str | None, port: int, interface: str = "") -> None:

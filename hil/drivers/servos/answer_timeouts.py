@@ -13,7 +13,7 @@ from hil.drivers.servos.cyclic_read import ALL_OK
 
 
 class AnswerTimeouts:
-    """Knows when each servo was last usable.
+    """Records when each servo was last usable.
 
     Args:
         config: IDs, and `fail_after_s`.
@@ -27,11 +27,11 @@ class AnswerTimeouts:
         self._good_ns = [now_ns] * 8
 
     def excuse(self, silence_ns: int) -> None:
-        """Time without a question does not count: no servo failed to answer."""
+        """Leave out `silence_ns` without requests, in which no servo failed to answer."""
         self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
 
     def saw(self, status: tuple[Status, ...], now_ns: int) -> bool:
-        """Remember which servos were usable at `now_ns`; whether all were."""
+        """Record which servos were usable at `now_ns`; returns whether all were."""
         if status is ALL_OK:
             self._good_ns = [now_ns] * 8
             return True

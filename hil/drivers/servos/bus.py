@@ -23,12 +23,12 @@ _RESULTS = {COMM_RX_TIMEOUT: Status.TIMEOUT, COMM_RX_CORRUPT: Status.CRC}
 
 
 class Exchange(NamedTuple):
-    """Bytes of one group read, and when.
+    """Bytes of one group read, and its times.
 
     Attributes:
-        sent_ns: request handed over.
-        received_ns: answer complete, or given up.
-        taken_ns: when the servos took what they tell.
+        sent_ns: when the request was handed to the port.
+        received_ns: when the answer was complete, or timed out.
+        taken_ns: when the servos sampled the values.
     """
 
     data: bytes
@@ -46,10 +46,9 @@ class _Asked(NamedTuple):
 
 
 class Bus:
-    """An open port with the verbs of Protocol 2.0.
+    """An open port with the instructions of Protocol 2.0.
 
-    The bus is half-duplex: while an answer is under way that was asked for ahead, whatever else is to
-    be sent waits for it.
+    The bus is half-duplex: while the answer to a request sent ahead is under way, other packets wait.
 
     Args:
         port: opened by the caller.
@@ -66,11 +65,11 @@ class Bus:
         self._round_trip_ns = _LONGEST_ROUND_TRIP_NS
 
     def close(self) -> None:
-        """Let go of the port; never raises."""
+        """Close the port; never raises."""
         self.port.closePort()
 
     def set_baud(self, baud: int) -> None:
-        """Talk at another rate; raises `DeviceError` when the port is lost."""
+        """Change the baud rate of the port; raises `DeviceError` when the port is lost."""
         try:
             self.port.setBaudRate(baud)
         except PortLost as error:
@@ -83,12 +82,12 @@ class Bus:
             ) from None
 
     def ping(self, servo_id: int) -> Answer:
-        """Whether a servo is there, one attempt; the data are its model number."""
+        """Ping a servo, one attempt; the data of the answer are its model number."""
         model, result, error = self._call_sdk(lambda: self._sdk.ping(self.port, servo_id), (0, None, 0))
         return self._answer(result, error, bytes((model & 0xFF, model >> 8 & 0xFF)))
 
     def read(self, servo_id: int, address: int, length: int, attempts: int = _ATTEMPTS) -> Answer:
-        """Read registers of one servo; what went wrong last is the answer."""
+        """Read registers of one servo; if all attempts fail, the answer has the last failure."""
         answer = packets.NO_ANSWER
         nothing: list[int] = []
         for _ in range(attempts):
@@ -125,7 +124,7 @@ class Bus:
         return True
 
     def exchange(self, group: GroupRead, timeout_s: float) -> Exchange:
-        """One group read within `timeout_s`; what arrived may be nothing or incomplete."""
+        """One group read within `timeout_s`; its bytes may be missing or incomplete."""
         self._settle()
         return self._fetch(self._ask(group, timeout_s))
 
@@ -133,15 +132,15 @@ class Bus:
         """Send the request of a group read whose answer `answered` will fetch.
 
         Args:
-            group: what to ask.
+            group: the group read.
             timeout_s: how long the answer may take.
-            after: a packet without an answer, to go out before it in the same transfer.
+            after: a packet without an answer, sent before the request in the same transfer.
         """
         self._settle()
         self._ahead, self._asked = None, self._ask(group, timeout_s, after)
 
     def asked(self) -> bool:
-        """Whether an answer can be fetched; one that was asked for too long ago is forgotten."""
+        """Whether an answer can be fetched; a request of more than 50 ms ago is dropped."""
         asked = self._ahead if self._asked is None else self._asked
         if asked is None:
             return False
@@ -151,10 +150,9 @@ class Bus:
         return True
 
     def answered(self, patience_ns: int) -> Exchange:
-        """What was asked for with `ask`, waited for until its deadline and at least `patience_ns` from now.
+        """The answer to `ask`, waited for until its deadline and at least `patience_ns` from now.
 
-        The caller may have been kept from listening until the deadline was over; the answer
-        is then about to be handed over by a computer that had the same to do.
+        A busy host may run the caller only after the deadline; the answer may then arrive any moment.
         """
         if self._asked is not None:
             patient_ns = self._clock.now_ns() + patience_ns
@@ -166,7 +164,7 @@ class Bus:
         return found
 
     def _settle(self) -> None:
-        """Fetch what is still under way."""
+        """Fetch the answer that is still under way, if any."""
         if self._asked is not None:
             asked, self._asked = self._asked, None
             self._ahead = self._fetch(asked)
@@ -197,9 +195,9 @@ class Bus:
         return Exchange(data, asked.sent_ns, received_ns, taken_ns)
 
     def _taken_ns(self, asked: _Asked, count: int, received_ns: int) -> int:
-        """When the servos heard the request: after the wire, and half of what a round trip costs.
+        """When the servos received the request: after its time on the wire and half the round-trip latency.
 
-        That cost (a network, drivers) is the smallest seen: an answer may have waited to be fetched.
+        That latency (network, drivers) is the smallest seen: an answer may have waited to be fetched.
         """
         heard_ns = asked.sent_ns + self.port.wire_ns(len(asked.group.request))
         round_trip_ns, least_ns = received_ns - heard_ns - self.port.answer_ns(count), self._round_trip_ns
@@ -235,7 +233,7 @@ class Bus:
             return b""
 
     def demand(self, servo_id: int, address: int, data: bytes, what: str) -> None:
-        """Write and insist; raises `DeviceError` that names the servo and what was written."""
+        """Write with acknowledgement; raises `DeviceError` that names the servo and what was written."""
         answer = self.write(servo_id, address, data)
         if answer.status is not Status.OK:
             raise self.failure(answer, f"servo {servo_id}: {what} cannot be written")

@@ -19,7 +19,7 @@ _SLOW_S = 0.008
 
 
 def reply_time(bus: Bus, config: ServosConfig, clock: Clock, device: str) -> Finding:
-    """How long adapter and host keep a reply beyond its time on the wire: the best of some."""
+    """Finding on the latency of adapter and host beyond the time on the wire, best of up to eight reads."""
     limit_s = min(config.usb_latency_s + config.reply_slack_s, _SLOW_S)
     wire_s = bus.port.wire_s(_SHORT_READ_BYTES) + bus.port.return_delay_s
     kept_s = math.inf
@@ -52,12 +52,12 @@ def findings(
     fast: bool,
     mapped: bool,
 ) -> tuple[Finding, ...]:
-    """Findings on the bus, beyond that it opened.
+    """Findings on the servos' settings on an open bus.
 
     Args:
         config: what the bench expects.
         registers: of the servos' model.
-        blocks: what they held when they were read at open.
+        blocks: their registers as read at open.
         device: name in the findings.
         fast: whether fast sync reads are used.
         mapped: whether goals go through indirect data.

@@ -24,7 +24,7 @@ from hil.drivers.servos.register_map import from_block
 from hil.drivers.servos.sdk_port import ServoPort
 
 _DEVICE = "servos"
-_LATENCY_S, _SLACK_S = 0.016, 0.05  # an adapter as delivered must do here, on a busy computer, too
+_LATENCY_S, _SLACK_S = 0.016, 0.05  # enough for an adapter with default settings on a busy computer
 _PING_SLOT_S = 0.003
 _STATUS_BYTES = 14
 _LAST = ("id", "baud_rate")
@@ -54,7 +54,7 @@ class FoundServo:
 def scan(
     port: str, clock: Clock, *, bauds: Iterable[int] = _USUAL, ids: Iterable[int] = _ALL_IDS
 ) -> tuple[FoundServo, ...]:
-    """Servos at a port, by one broadcast ping per baud rate (about 3 ms per ID asked for).
+    """Servos at a port, by one broadcast ping per baud rate (about 3 ms per ID).
 
     Raises:
         DeviceError: the port cannot be opened.
@@ -126,15 +126,15 @@ def set_up(
     Args:
         port: pyserial URL or device path.
         clock: the bench clock.
-        baud: at which the servo listens now.
-        servo_id: which it has now.
-        new_id: which it shall have; written after the registers.
-        new_baud: at which it shall listen; written last.
+        baud: present baud rate of the servo.
+        servo_id: its present ID.
+        new_id: its new ID; written after the registers.
+        new_baud: its new baud rate; written last.
         registers: further EEPROM registers by name, raw counts.
         dry_run: read and check only; nothing is written.
 
     Returns:
-        (before, after) by name of every register that was asked for.
+        (before, after) by name of every register that was to be written.
 
     Raises:
         UsageError: an unknown register, one that the servo's firmware lacks or a value outside its range;
@@ -253,7 +253,7 @@ def _write_eeprom(
 
 
 def _rename(bus: Bus, servo_id: int, register: Register, raw: int) -> None:
-    """Write ID or baud rate. Firmware may acknowledge as old or as new, so silence proves nothing here."""
+    """Write ID or baud rate. Firmware may acknowledge with the old or the new one: silence is no failure."""
     answer = bus.write(servo_id, register.address, register.encode(raw))
     if answer.status not in (Status.OK, Status.TIMEOUT):
         raise bus.failure(answer, f"servo {servo_id}: {register.name} cannot be written")

@@ -1,12 +1,12 @@
 """Reads all servos in every cycle, and handles those that do not answer.
 
-Now and then it is a full look: the same exchange shows torque, watchdog, voltage and temperature too, a
-fifth of a millisecond more on the wire instead of two exchanges of their own.
+Now and then it makes a full read: the same exchange also returns torque, watchdog, voltage and temperature,
+which takes a fifth of a millisecond more on the wire instead of two exchanges of their own.
 
-A servo that misses a read moves to the end of the list, so that a chain that stops at it loses no servo
-else; missing three times, it leaves the list and is asked alone every now and then. So a dead servo costs one
-short time-out at a time, never the whole group. When nothing answers it is either the bus or the first of
-the chain: another servo leads the next read, and the faulty one is then known.
+A servo that misses a read moves to the end of the list, so that an answer that breaks off at it loses no
+other servo; after three misses it leaves the list and is polled alone now and then. So a dead servo costs one
+short time-out at a time, never the whole group. When no servo answers, the fault is in the bus or in the
+first servo: another servo leads the next read, which shows which of the two it is.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ ALL_OK = (Status.OK,) * 8
 
 
 class Reading(NamedTuple):
-    """One read of all eight.
+    """The result of one read of all eight servos.
 
     Attributes:
         registers: raw counts (8,) of `CYCLE_FIELDS` or `FULL_FIELDS` by name; 0 where `status` is not OK.
-        status: per servo, before hardware errors are looked into; `RESET` where a full look has found
+        status: per servo, before hardware errors are considered; `RESET` where a full read has found
             the map of indirect addresses gone.
         alert: whether the alert bit was set, per servo.
-        taken_ns, received_ns: when the servos took it, and when it had arrived.
-        full: whether it was a full look.
+        taken_ns, received_ns: when the servos sampled it, and when it had arrived.
+        full: whether it was a full read.
         revived: joints that answer again after having been left out.
     """
 
@@ -53,7 +53,7 @@ class Reading(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """Which registers a read asks for."""
+    """Address and registers of a read."""
 
     address: int
     fields: Fields
@@ -75,7 +75,7 @@ class CycleReader:
         registers: of the servos' model.
         clock: the bench clock.
         fast: use fast sync reads.
-        mapped: full looks go through the map of indirect addresses.
+        mapped: full reads go through the map of indirect addresses.
     """
 
     def __init__(
@@ -108,19 +108,19 @@ class CycleReader:
 
     @property
     def live_ids(self) -> tuple[int, ...]:
-        """IDs that the group read asks, in its order."""
+        """IDs of the servos in the group read, in its order."""
         return tuple(self._ids[j] for j in self._order)
 
     def asked(self) -> bool:
-        """Whether a request is out whose answer `read` will fetch."""
+        """Whether a request is pending whose answer `read` will fetch."""
         return self._bus.asked()
 
     def ask(self, *, full: bool, after: bytes = b"") -> None:
-        """Send the request of the next `read`, behind a packet without an answer."""
+        """Send the request of the next `read`, after a packet without an answer."""
         self._ask(self._full if full else self._cycle, tuple(self._order), after)
 
     def look(self) -> Reading:
-        """A full read of all servos, also those that have been given up, in the time that it takes."""
+        """A full read of all servos, also of those that were left out; may take longer than a cycle."""
         if self.asked():
             self.read()
         if self._incomplete and self._roll.is_due():
@@ -147,10 +147,10 @@ class CycleReader:
             self._bus.send(after)
 
     def read(self) -> Reading:
-        """The answer to what was asked; a second exchange for what is missing where the budget allows it.
+        """Fetch the pending answer; a second exchange reads missing servos where the budget allows it.
 
-        When something is missing of what was asked a while ago, everything is asked again, the first silent
-        servo last: the parts would be of different times.
+        When an answer to an old request is incomplete, all servos are read again, the first silent one last:
+        otherwise the parts would be of different times.
         """
         kind, order, began_ns = self._kind, self._asked, self._clock.now_ns()
         if not order:
@@ -170,13 +170,13 @@ class CycleReader:
         if missing:
             deadline_ns = exchange.sent_ns + nanoseconds(timeout_s) - self._slack_ns + self._budget_ns
             answers |= self._again(kind, order, missing, answers, deadline_ns)
-        self._keep_book(order, answers)
+        self._count_misses(order, answers)
         return self._poll_dead(kind, exchange, answers)
 
     def _quick(
         self, kind: _Kind, group: GroupRead, exchange: Exchange, order: tuple[int, ...]
     ) -> Reading | None:
-        """The reading of a clean answer of all eight."""
+        """The reading of a clean answer of all eight; None for any other."""
         registers = group.quick(exchange.data)
         if registers is None or order != _ALL:
             return None
@@ -211,7 +211,7 @@ class CycleReader:
         answers: dict[int, Answer],
         deadline_ns: int,
     ) -> dict[int, Answer]:
-        """Ask once more, without the servo at which the answer broke off, if there is time."""
+        """Read missing servos once more, except the one at which the answer broke off, if there is time."""
         if len(missing) == len(order):
             joints = _with_last(order, order[0])
         else:
@@ -225,7 +225,7 @@ class CycleReader:
             return {}
         return self._by_joint(group, self._bus.exchange(group, min(timeout_s, left_ns / NS_PER_S)), joints)
 
-    def _keep_book(self, order: tuple[int, ...], answers: dict[int, Answer]) -> None:
+    def _count_misses(self, order: tuple[int, ...], answers: dict[int, Answer]) -> None:
         """Count misses; the first silent servo goes to the end of the list, and then out of it."""
         silent = [j for j in order if answers[j].status is Status.TIMEOUT]
         for j in order:
@@ -247,13 +247,13 @@ class CycleReader:
             self._order.append(suspect)
 
     def _leave_out(self, joint: int) -> None:
-        """From now on it is asked alone, every now and then."""
+        """Take a servo out of the group read; it is polled alone every `dead_poll_s`."""
         self._dead[joint] = self._clock.now_ns() + self._poll_ns
         if joint in self._order:
             self._order.remove(joint)
 
     def _poll_dead(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> Reading:
-        """Ask one of the dead if its time has come (all of them in a look), then make a reading."""
+        """Poll a servo that was left out when it is due (in `look`: all of them), then make a reading."""
         if self._thorough and self._asked:
             self._ask_spoilt_alone(kind, exchange, answers)
         revived = []
@@ -279,10 +279,10 @@ class CycleReader:
         return self._reading(kind, exchange, answers, tuple(revived))
 
     def _ask_spoilt_alone(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> None:
-        """Ask again, one by one, whose answers were spoilt: on a noisy bus a short one gets through.
+        """Read servos with a damaged answer again, one by one: on a noisy bus a short answer gets through.
 
-        A servo is missing in an answer of full length where bytes of another one came twice. On a bus that
-        spoils most answers the time goes to setting servos up, which needs none.
+        A servo is missing in an answer of full length where bytes of another one came twice. Where most
+        answers are damaged, the time is kept for setting servos up, which needs no answers.
         """
         kinds = {Status.CRC}
         if len(exchange.data) >= self._group(kind, self._asked)[0].expected:

@@ -2,13 +2,13 @@
 
 One group read and one group write per cycle; per-servo status, never a number that stands for "no
 data"; positions that count on across restarts. The zero of an angle is the servo's centre, 2048 counts.
-Which model it is they tell at open; its control table, units and limits then count.
+The model is read at open, and gives control table, units and limits.
 Measured behaviour that the driver passes on as it is: Present Velocity lags the encoder by 52 ms and is
 truncated towards zero (authors' recordings); the stamp is that of the position.
 
-Here is what happens when: opening, the order of a cycle. What a read is made of is in `cyclic_read`, what a
-sample is made of in `servo_samples`, the goals in `goal_values` and their packet in `packets`, what RAM must
-hold in `recovery`, when a fault becomes an error in `answer_timeouts`.
+This module has the sequence of opening and of a cycle. Reads are in `cyclic_read`, samples in
+`servo_samples`, goals in `goal_values` and their packet in `packets`, the contents of RAM in `recovery`, the
+time after which a fault is an error in `answer_timeouts`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _OK = Status.OK
 _PAUSE_NS = 200_000_000
 _READ_ATTEMPTS = 3
 _PATIENCE_NS, _RETRY_NS = nanoseconds(1.5), nanoseconds(0.02)
-"""How long servos that fall silent while they are enabled are waited for, as while they are opened."""
+"""Longest wait for servos that fall silent in `enable`, as in `open`; time between two attempts."""
 
 
 class DynamixelServos(Actuators):
@@ -59,7 +59,7 @@ class DynamixelServos(Actuators):
         clock: the bench clock; every wait and every stamp is on it.
 
     Attributes:
-        restarts: by name, how often servos were found to have started over, since this was made.
+        restarts: restarts found since this object was made, by servo name.
     """
 
     name = "servos"
@@ -98,7 +98,7 @@ class DynamixelServos(Actuators):
             raise
 
     def _set_up(self, bus: Bus, *, last: bool = False) -> None:
-        """Check the servos and write RAM; once more from the beginning where one falls silent in between."""
+        """Check the servos and write RAM; once more from the beginning where one falls silent meanwhile."""
         config = self._config
         acknowledge_all(bus, config.ids)
         answers = ident.read_blocks(bus, config, self._clock)
@@ -128,7 +128,7 @@ class DynamixelServos(Actuators):
         self._identity = ident.described(config, registers, blocks)
 
     def close(self) -> None:
-        """Bring the wheels to rest and let go of the port; torque stays as it is. Idempotent."""
+        """Bring the wheels to rest and close the port; torque stays as it is. Idempotent."""
         self._keep_alive.end()
         with self._talking:
             if self._bus is None:
@@ -155,7 +155,7 @@ class DynamixelServos(Actuators):
         return self._bus
 
     def ask(self) -> None:
-        """Send the request of the next `read`, unless that has been done right after a command."""
+        """Send the request of the next `read`, unless it is pending already."""
         with self._talking:
             self._ask(self._opened())
 
@@ -170,7 +170,7 @@ class DynamixelServos(Actuators):
         self._cycle.ask(full=self._paused or self._look_closely())
 
     def _tripped_by(self, silence_ns: int) -> bool:
-        """Whether watchdogs may have tripped, as the servos were not asked; their clocks are not ours."""
+        """Whether watchdogs may have tripped: half their time without requests, as clocks differ."""
         return self._upkeep.torque and silence_ns > self._watchdog_ns // 2 > 0
 
     def read(self) -> tuple[ServoSample, ...]:
@@ -202,11 +202,11 @@ class DynamixelServos(Actuators):
         return sample
 
     def _look_closely(self) -> bool:
-        """Whether the next read should show torque, watchdogs and health as well."""
+        """Whether the next read should be a full read, with torque, watchdogs and health."""
         return self._doubtful or self._health.due()
 
     def _audit(self, reading: Reading) -> tuple[int, ...]:
-        """Judge by a full look whether torque and watchdogs are as they should be; repair, holding still."""
+        """Check torque and watchdogs by a full read; repair them with goals at which nothing moves."""
         state = self._upkeep.judge(reading)
         held = self._goals.still(self._samples.registers(reading))
         lost = [j for j, status in enumerate(reading.status) if status is Status.RESET]
@@ -224,7 +224,7 @@ class DynamixelServos(Actuators):
         return repaired
 
     def read_health(self) -> tuple[ServoHealth, ...]:
-        """Voltage and temperature every `health_period_s`, as `read` has brought them; empty between."""
+        """Voltage and temperature of a full read, every `health_period_s`; empty in between."""
         self._opened()
         return self._health.take()
 
@@ -302,7 +302,7 @@ class DynamixelServos(Actuators):
             bus.send(packet)
 
     def look_after(self) -> ServoHold:
-        """One look at all eight, those that had fallen silent too; what they have lost is put right."""
+        """A full read of all eight, silent ones too; restores what a restart or a watchdog has cost."""
         with self._talking:
             if self._bus is None or not self._identity:
                 nothing = np.full(8, np.nan)
@@ -332,7 +332,7 @@ class DynamixelServos(Actuators):
         """Torque off, checked: on a wall the robot slides.
 
         Raises:
-            DeviceError: a servo still has torque on, or does not say.
+            DeviceError: a servo still has torque on, or does not answer.
         """
         with self._talking:
             self._opened()
@@ -340,7 +340,7 @@ class DynamixelServos(Actuators):
             self._upkeep.switch_off(self._cycle.live_ids)
 
     def diagnose(self) -> tuple[Finding, ...]:
-        """Facts about the bus for `hil doctor`: reply time, firmware, return delay, kinds of packets."""
+        """Findings on the bus for `hil doctor`: reply time, firmware, return delay, kinds of packets."""
         with self._talking:
             reply = bus_checks.reply_time(self._opened(), self._config, self._clock, self.name)
         fast, mapped = self._cycle.fast, self._upkeep.mapped

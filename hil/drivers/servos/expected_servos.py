@@ -17,7 +17,7 @@ from hil.drivers.servos.register_map import RegisterMap, from_block
 _PAUSE_NS = 100_000_000
 _PATIENCE_NS = 1_500_000_000
 _LEFTOVERS_NS = 300_000_000
-"""What another program asked for has come by then."""
+"""By then the answers to another program's requests have arrived."""
 _NO_SERVO_LINE = (
     "most answers are garbled: another device at this port, a wrong servos.baud, or noise; "
     "check servos.port, ask `hil discover --port PORT` what is there, then look at cable and ground"
@@ -26,14 +26,14 @@ _UNCLEAR = (Status.TIMEOUT, Status.CRC, Status.PROTOCOL)
 
 
 def read_blocks(bus: Bus, config: ServosConfig, clock: Clock) -> list[Answer]:
-    """Registers 0..147 of the eight servos; one that gives no clean answer is asked again for a while.
+    """Registers 0..147 of the eight servos; those without a clean answer are read again for up to 1.5 s.
 
     Raises nothing.
 
-    Of which model they are is not known yet: these are at the same place in all that have a table.
-    A servo that is starting up after a dip of its supply, or a bus on a host that is busy starting programs,
-    is not a missing one. Nor is a garbled answer a wrong servo: what a program asked that was killed in the
-    middle of it may still be on its way.
+    The model is not known yet: these registers are at the same place in all models that have a table.
+    A silent servo need not be missing: it may be starting up after a dip of its supply, or the host may be
+    busy starting programs. A garbled answer need not mean a wrong servo: the answer to a program that was
+    killed in the middle of a request may still be on its way.
     """
     length = shared_register("backup_ready").end
     answers = [bus.read(i, 0, length) for i in config.ids]
@@ -85,7 +85,7 @@ def identified(bus: Bus, config: ServosConfig, answers: list[Answer], device: st
 
 
 def _commonest(answers: list[Answer]) -> int:
-    """Model number that most servos tell, of those that have a table; 0 where none does."""
+    """Model number that most servos report, of those that have a table; 0 where none has."""
     numbers = [_model_number(a) for a in answers if a.status is Status.OK]
     known = Counter(n for n in numbers if n in servo_models())
     return max(known, key=known.__getitem__, default=0)
@@ -124,18 +124,18 @@ def _identity_problem(answer: Answer, config: ServosConfig, expected: int) -> tu
 
 
 def _other_baud(bus: Bus, config: ServosConfig) -> str:
-    """Whether the servos listen at another rate, as a remedy."""
-    heard = []
+    """Remedy text for silent servos: the baud rate at which they answer, or a general one."""
+    found = []
     for baud in BAUD_RATES.values():
         if baud == config.baud:
             continue
         bus.set_baud(baud)
         if any(bus.ping(i).status is Status.OK for i in config.ids[:2]):
-            heard.append(baud)
+            found.append(baud)
     bus.set_baud(config.baud)
-    if heard:
-        return f"the servos answer at {heard[0]} baud: set servos.baud, or change theirs, one at a time: " + (
-            setup_command(config, config.ids[0], f"--new-baud {config.baud}", baud=heard[0])
+    if found:
+        return f"the servos answer at {found[0]} baud: set servos.baud, or change theirs, one at a time: " + (
+            setup_command(config, config.ids[0], f"--new-baud {config.baud}", baud=found[0])
         )
     return "check that the bus has power and that port and baud rate are right"
 
@@ -175,10 +175,10 @@ def check_setup(config: ServosConfig, registers: RegisterMap, blocks: list[bytes
 
 
 def _exchanged_ids(config: ServosConfig, modes: list[int]) -> str:
-    """What to do first where drives have the mode of steering servos and as many of these that of drives.
+    """Remedy text where as many drives have the steering mode as steering servos have the drive mode.
 
-    Such servos are set up well, and named the wrong way round. Written into the EEPROM, the modes would let a
-    steering axis turn without end.
+    Such servos are set up well, but their IDs are exchanged. Writing the expected modes into the EEPROM
+    would let a steering axis turn without end.
     """
     steering = STEER_MODES[config.steer_mode]
     drives = [k for k in range(4) if modes[k] == steering]

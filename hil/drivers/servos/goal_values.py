@@ -1,6 +1,6 @@
 """Converts commands in radians to raw goals, within the limits of bench and servo.
 
-A servo ignores a goal beyond its own limits in silence, so those count here too. Drives have velocity
+A servo silently ignores a goal beyond its own limits, so goals are clipped to these too. Drives have velocity
 goals, steers position goals, whose zero is the servo's centre.
 """
 
@@ -24,13 +24,13 @@ _FARTHEST = 1_048_575
 
 
 class Goals:
-    """The eight goals, as they stand.
+    """The present goals of the eight servos.
 
     Args:
         config: limits and mode of the bench.
         registers: of the servos' model.
-        blocks: what they held when they were read at open; the wheels' goals begin at rest, the steering's
-            where it stands.
+        blocks: their registers as read at open; the wheels' goals begin at rest, the steering's at its
+            present position.
         write: the packet that carries goals.
         device: name in errors.
     """
@@ -59,7 +59,7 @@ class Goals:
         self._raw = [0, 0, 0, 0, *steering]
 
     def packet(self) -> bytes:
-        """The one write of a control cycle."""
+        """The write packet of a control cycle."""
         return self._write.packet(self._raw)
 
     def follow(self, setpoint: ServoSetpoint, offset: Sequence[int]) -> None:
@@ -87,15 +87,15 @@ class Goals:
         self._raw = raw
 
     def rest(self) -> None:
-        """Wheels at rest, the steering's goals as they are."""
+        """Set the wheels' goals to rest; keep the steering's."""
         self._raw[:4] = [0] * 4
 
     def hold(self, registers: np.ndarray) -> None:
-        """Take the goals at which nothing moves."""
+        """Set the goals at which nothing moves."""
         self._raw = self.still(registers).tolist()
 
     def keep(self, joints: Sequence[int], goals: np.ndarray) -> None:
-        """Take some joints' goals out of (8,) raw ones."""
+        """Set the goals of some joints from (8,) raw goals."""
         for j in joints:
             self._raw[j] = int(goals[j])
 

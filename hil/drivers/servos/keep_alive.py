@@ -1,8 +1,8 @@
 """Polls the servos while no loop runs (after a stop, between motions), so that their watchdog stays fed.
 
-A robot on a wall hangs by the torque of its servos. A servo that restarts comes back without torque and
-says nothing; a program that has stopped its loop would not ask. So from `enable` until `release` or
-`close` the servos are always polled: by the loop in its cycles, and in between by `KeepAlive`.
+A robot on a wall hangs by the torque of its servos. A servo that restarts has no torque and does not report
+that; a program that has stopped its loop would not read it. So from `enable` until `release` or `close` the
+servos are always polled: by the loop in its cycles, and in between by `KeepAlive`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class KeepAlive:
     Args:
         clock: the bench clock.
         lock: held while the servos are talked to, not re-entrant; this never waits for it.
-        visit: polls once, called with the lock held; whether all is well.
+        visit: polls once, called with the lock held; returns whether all is well.
         watchdog_s: of the servos; 0 without one.
     """
 
@@ -46,13 +46,13 @@ class KeepAlive:
         self._attended_ns = now_ns
 
     def begin(self) -> None:
-        """Begin to poll. Idempotent."""
+        """Start polling. Idempotent."""
         if self._end is None:
             self._attended_ns = self._clock.now_ns()
             self._end = self._clock.schedule(self._look_in, self._attended_ns + self._alone_ns)
 
     def end(self) -> None:
-        """Stop to poll. Idempotent."""
+        """Stop polling. Idempotent."""
         if self._end is not None:
             self._end()
             self._end = None

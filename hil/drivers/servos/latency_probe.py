@@ -1,9 +1,8 @@
-"""Finds servos that answer late, by asking them one by one after a stop.
+"""Finds servos that answer late, by reading them one by one after a stop.
 
-One late answer holds up everything that is asked behind it, so that no servo is heard in time and none
-seems
-to blame. Bytes that arrive while no answer is awaited reveal it. In the control cycle
-there is no time to find out whose they are; while the robot only rests there is.
+One late answer delays all answers behind it, so that every servo times out and the cause cannot be seen.
+Bytes that arrive while no answer is awaited reveal it. The control cycle has no time to find out which servo
+sent them; while the robot rests there is time.
 """
 
 from __future__ import annotations
@@ -20,17 +19,17 @@ from hil.drivers.servos.packets import GroupRead
 _LOG = logging.getLogger(__name__)
 _QUIET_S, _SETTLES_NS, _MOST_BYTES = 0.02, nanoseconds(0.3), 4096
 _WHOLE_NS = nanoseconds(0.4)
-"""After so long a roll call is broken off, and goes on there: one that restarts waits for its torque."""
+"""A probe pauses after so long, and goes on there next time: a servo that restarts waits for its torque."""
 _LONGEST_S = 0.25
 """A servo that takes longer than that to answer counts as dead."""
 _SPARE, _EDGE_S, _ATTEMPTS = 1.5, 0.001, 3
-"""The computer may be busy: a servo that is asked alone and is late so many times is late."""
+"""A servo that is read alone counts as late after so many late answers: the host may be busy."""
 _PAUSE_NS = nanoseconds(1.0)
-"""From one to the next: meanwhile the servos are looked after as usual."""
+"""Time between two probes, in which the servos are polled as usual."""
 
 
 class LatencyProbe:
-    """Finds the late ones among the eight, and remembers them.
+    """Finds the servos that answer late, and remembers them.
 
     Args:
         bus: open bus.
@@ -39,7 +38,7 @@ class LatencyProbe:
         watchdog_s: of the servos: no answer is awaited until it trips; 0 without one.
 
     Attributes:
-        late_s: how long the late ones have taken to answer, by joint.
+        late_s: answer time of each late servo, s, by joint.
     """
 
     def __init__(self, bus: Bus, ids: tuple[int, ...], clock: Clock, *, watchdog_s: float) -> None:
@@ -49,20 +48,20 @@ class LatencyProbe:
         self.late_s: dict[int, float] = {}
 
     def is_due(self) -> bool:
-        """Whether unexpected bytes have come, or a servo is to be asked alone; not soon after a probe."""
+        """Whether unexpected bytes have come, or a servo must be read alone; not soon after a probe."""
         if self._clock.now_ns() < self._next_ns:
             return False
         return any(map(self.leaves_alone, self.late_s)) or bool(self._bus.unasked())
 
     def leaves_alone(self, joint: int) -> bool:
-        """Whether a servo is too late to be waited for in a look."""
+        """Whether a servo is too late to be waited for in `CycleReader.look`."""
         return _SPARE * self.late_s.get(joint, 0.0) > self._longest_s
 
     def call(self, request: Callable[[int], tuple[GroupRead, float]]) -> tuple[int, ...]:
-        """Ask the eight, each alone; the joints of those found late.
+        """Read the eight servos, each alone; returns the joints of those found late.
 
         Args:
-            request: of a joint: what to ask, and how long an answer in time may take, s.
+            request: gives for a joint its group read, and the longest time of an answer in time, s.
         """
         began_ns = self._clock.now_ns()
         while self._bus.gather(_QUIET_S, _MOST_BYTES) and self._clock.now_ns() - began_ns < _SETTLES_NS:
@@ -81,7 +80,7 @@ class LatencyProbe:
         return tuple(self.late_s)
 
     def _judge(self, joint: int, took_s: float, in_time_s: float) -> None:
-        """Take how long one has needed that was asked alone."""
+        """Record the answer time of a servo that was read alone."""
         name, before = f"{SERVOS[joint]} (ID {self._ids[joint]})", self.late_s.pop(joint, None)
         if in_time_s + _EDGE_S < took_s < math.inf:
             self.late_s[joint] = took_s
@@ -98,11 +97,11 @@ class LatencyProbe:
             _LOG.warning("%s: %s %s", self._bus.device, name, again)
 
     def ask(self, joint: int, group: GroupRead, in_time_s: float, *, patient: bool) -> Exchange:
-        """Ask one alone.
+        """Read one servo alone.
 
         Args:
             joint: index.
-            group: what to ask.
+            group: the read of this servo.
             in_time_s: how long an answer in time may take.
             patient: whether there is time to wait for a late one.
         """
@@ -113,7 +112,7 @@ class LatencyProbe:
         return exchange
 
     def in_words(self) -> dict[str, str]:
-        """What the late ones do, by name."""
+        """Messages on the late servos, by name."""
         return {
             SERVOS[j]: f"ID {self._ids[j]}: answers after {1e3 * late_s:.0f} ms, which holds up the others: "
             "check its return delay time, its cable and its supply"

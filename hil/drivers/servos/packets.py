@@ -29,7 +29,7 @@ ERROR_TEXT = {
 }
 _HEADER = b"\xff\xff\xfd\x00"
 _TO_STUFF, _CODE_AT = b"\xff\xff\xfd", 7
-"""What must not appear behind a packet's length, and where its instruction stands."""
+"""Bytes that must not appear behind a packet's length, and the index of its instruction."""
 _STATUS = 0x55
 _SYNC_READ, _SYNC_WRITE, _FAST_SYNC_READ = 0x82, 0x83, 0x8A
 _BULK_WRITE = 0x93
@@ -40,7 +40,7 @@ _LONGEST = 2048
 
 @dataclass(frozen=True)
 class Answer:
-    """What one servo said, or why there is nothing: `data` is empty unless `status` is OK."""
+    """The answer of one servo, or why there is none: `data` is empty unless `status` is OK."""
 
     status: Status
     error: int = 0
@@ -98,7 +98,7 @@ class GroupRead:
     """One sync read of the same registers of several servos, plain or fast.
 
     Args:
-        ids: of the servos, in the order asked.
+        ids: of the servos, in the order of the request.
         address: of the first register.
         length: bytes.
         fast: whether they answer in one packet.
@@ -139,7 +139,7 @@ class GroupRead:
         return all(data[k * step : k * step + _FAST_HEAD] == head for k, head in enumerate(self._heads))
 
     def quick(self, data: bytes) -> dict[str, tuple[int, ...]] | None:
-        """Raw counts of all servos by register, in the order asked, of a clean answer without alerts."""
+        """Raw counts of all servos by register, in request order, of a clean answer without alerts."""
         if not self.plausible(data):
             return None
         step = self.length + (_FAST_OVERHEAD if self.fast else _STATUS_OVERHEAD)
@@ -157,7 +157,7 @@ class GroupRead:
         return {name: values[place] for name, place in self._places}
 
     def answers(self, data: bytes) -> dict[int, Answer]:
-        """Answer of every servo asked, whatever arrived."""
+        """Answer of every servo in the request, whatever arrived."""
         found = self._pieces(data) if self.fast else find_statuses(data)
         answers = dict.fromkeys(self.ids, NO_ANSWER)
         for servo_id, answer in found:
@@ -203,7 +203,7 @@ class GroupRead:
 class GoalWrite:
     """The one write of a control cycle: four bytes for each servo.
 
-    Drives want Goal Velocity (104) and steers Goal Position (116). Mapped to the same indirect data, a
+    Drives take Goal Velocity (104) and steers Goal Position (116). Mapped to the same indirect data, a
     sync write of 54 bytes serves both; without the map a bulk write of 82 bytes does.
 
     Args:

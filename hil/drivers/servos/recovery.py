@@ -1,8 +1,8 @@
 """RAM of the servos: what is written at open, checked now and then, and restored after a restart.
 
-A servo that has restarted (brown-out, reboot) is without torque, gains, goal map and watchdog, and
-says so only when asked. A tripped bus watchdog refuses goals in silence. Both are found by the audit,
-a small group read through indirect data, and put right with the robot held where it is.
+A servo that has restarted (brown-out, reboot) is without torque, gains, goal map and watchdog, and does not
+report that. A servo whose bus watchdog has tripped silently ignores goals. Both are found by the audit, a
+small group read through indirect data, and repaired with the robot held where it is.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from hil.drivers.servos.register_map import AUDIT_LENGTH, FULL_LEVEL, RegisterMa
 _LOG = logging.getLogger(__name__)
 
 ANSWERING = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
-"""Of a servo that is heard."""
+"""Statuses of a servo that answers."""
 _ATTEMPTS = 3
 _ATTEMPTS_ON = 12
-"""A computer that is busy starting programs may be deaf for a quarter of a second."""
+"""A host that is busy starting programs may receive nothing for a quarter of a second."""
 
 
 def acknowledge_all(bus: Bus, ids: Sequence[int]) -> None:
-    """Have servos of any model answer reads and writes, whatever Status Return Level they were left with."""
+    """Set the Status Return Level at which servos, of any model, answer both reads and writes."""
     level = bytes((FULL_LEVEL,))
     bus.send(packets.sync_write(shared_register("status_return_level").address, 1, [(i, level) for i in ids]))
 
 
 class RamRecovery:
-    """Knows what RAM should hold, and makes it so.
+    """Writes the required contents of RAM, checks and restores them.
 
     Args:
         bus: open bus.
@@ -81,7 +81,7 @@ class RamRecovery:
                 self._bus.demand(servo_id, address, data, f"register at {address}")
 
     def _map_goals(self, torque: Sequence[int]) -> bool:
-        """Set indirect addresses 1..7, which a servo with torque on does not allow."""
+        """Set indirect addresses 1..21, which a servo with torque on does not allow."""
         for joint, servo_id in enumerate(self._ids):
             wanted = self._map.indirect_map(self._map.goal_addresses[joint])
             answer = self._bus.read(servo_id, self._map.indirect_address, len(wanted))
@@ -94,14 +94,14 @@ class RamRecovery:
         return True
 
     def switch_on(self, hold: bytes, ids: Sequence[int]) -> None:
-        """Hold, arm the watchdog, torque on; checked.
+        """Send hold goals, arm the watchdog, switch torque on, and check that it is on.
 
         Args:
             hold: packet of goals at which nothing moves.
             ids: servos that answer.
 
         Raises:
-            DeviceError: a servo has not taken its torque.
+            DeviceError: torque has not come on at a servo.
         """
         count = bytes((self._config.watchdog_count,))
         self.torque = True
@@ -123,10 +123,10 @@ class RamRecovery:
         )
 
     def switch_off(self, ids: Sequence[int]) -> None:
-        """Torque off, then the watchdog; checked.
+        """Switch off torque, then the watchdog, and check that torque is off.
 
         Raises:
-            DeviceError: a servo still has its torque, or does not say.
+            DeviceError: a servo still has its torque, or does not answer.
         """
         self.released |= self.torque
         self.torque = False
@@ -148,7 +148,7 @@ class RamRecovery:
         )
 
     def audit(self, ids: Sequence[int]) -> dict[int, tuple[int, int]]:
-        """(torque, watchdog) by joint, of those among `ids` that answer; remembers hardware errors.
+        """(torque, watchdog) by joint, of those among `ids` that answer; stores hardware errors.
 
         Waits longer than a cycle may, when the host is busy.
         """
@@ -174,7 +174,7 @@ class RamRecovery:
         return state
 
     def judge(self, reading: Reading) -> dict[int, tuple[int, int]]:
-        """(torque, watchdog) by joint from a full look; a lost map reads as none of both."""
+        """(torque, watchdog) by joint from a full read; (0, 0) where the map is lost."""
         state = {}
         rows = reading.registers
         for joint, status in enumerate(reading.status):
@@ -189,10 +189,10 @@ class RamRecovery:
     def repair(
         self, state: Mapping[int, tuple[int, int]], goals: Sequence[int], *, paused: bool = False
     ) -> tuple[int, ...]:
-        """Put right what an audit found; the joints that had lost torque or were stopped.
+        """Repair what an audit found; returns the joints that had lost torque or were stopped.
 
         Args:
-            state: of `audit`.
+            state: of `audit` or `judge`.
             goals: (8,) raw goals at which the robot is held.
             paused: there was no request for longer than the watchdog's time: it was expected to trip.
         """
@@ -222,14 +222,14 @@ class RamRecovery:
     def insist(self, status: Sequence[Status]) -> None:
         """Send torque on to silent servos: one that has restarted may receive it, but its answers are lost.
 
-        It holds by what it wakes up with, goals at which it stands still, until it can be set up again.
+        It then holds with its power-up goals, at which it stands still, until it can be set up again.
         """
         unheard = [i for i, s in zip(self._ids, status, strict=True) if s not in ANSWERING]
         if self.torque and unheard:
             self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x01") for i in unheard]))
 
     def trouble(self, reading: Reading) -> dict[str, str]:
-        """What keeps a servo from holding, by name, from a full look that `judge` has seen."""
+        """What keeps a servo from holding, by name, from a full read that `judge` has evaluated."""
         armed, rows, found = self._config.watchdog_count, reading.registers, {}
         for joint, status in enumerate(reading.status):
             reason = ""
@@ -250,7 +250,7 @@ class RamRecovery:
     def restore(self, joint: int) -> None:
         """Write map and registers again into a servo that has restarted; torque and watchdog stay off.
 
-        One that got its torque with the others' in the same instant would refuse the map for ever.
+        Torque is switched off first: a servo that got it with the others would refuse the map for ever.
         """
         servo_id = self._ids[joint]
         if self.mapped:
@@ -261,7 +261,7 @@ class RamRecovery:
             self._bus.send(packets.sync_write(address, len(data), [(servo_id, data)]))
 
     def _resume(self, joint: int, goal: int) -> None:
-        """Clear the watchdog, hold at a goal, arm, torque on."""
+        """Clear the watchdog, set the goal, arm the watchdog, switch torque on."""
         servo_id = self._ids[joint]
         data = (goal & 0xFFFFFFFF).to_bytes(4, "little")
         for address, value in (
@@ -273,7 +273,7 @@ class RamRecovery:
             self._bus.send(packets.sync_write(address, len(value), [(servo_id, value)]))
 
     def read_hardware_error(self, joint: int) -> int:
-        """Hardware Error Status of one servo; what was known before if it does not answer."""
+        """Hardware Error Status of one servo; the last known one if it does not answer."""
         answer = self._bus.read(self._ids[joint], self._map.hardware_error, 1, attempts=1)
         if answer.status is Status.OK:
             self.hardware_error[joint] = answer.data[0]

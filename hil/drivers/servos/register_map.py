@@ -9,7 +9,7 @@ from itertools import pairwise
 from hil.config.servo_models import Register, ServoModel
 
 FULL_LEVEL = 2
-"""Return level at which a servo answers everything; a full look through a lost map shows zero instead."""
+"""Status Return Level of answers to all instructions; a full read through a lost map shows 0 instead."""
 
 AUDIT_LENGTH = 3
 _GOAL_LENGTH = 4
@@ -32,14 +32,14 @@ class Fields:
     """Registers in one range of bytes.
 
     Args:
-        kinds: code of each as `struct` has it, by name, in the order of the range.
-        places: where each begins in the range; one behind the other where left out.
-        length: bytes of the range; up to the end of the last register where left out.
+        kinds: `struct` code of each register, by name, in the order of the range.
+        places: offset of each in the range; one behind the other when None.
+        length: bytes of the range; up to the end of the last register when 0.
 
     Attributes:
         names: in the order of the range.
         length: bytes of the range.
-        form: of the range, as `struct` has it.
+        form: `struct` format of the range.
     """
 
     def __init__(
@@ -60,23 +60,23 @@ class Fields:
 
 
 CYCLE_FIELDS = Fields({"current": "h", "velocity": "i", "position": "i"})
-"""What every cycle reads."""
+"""Registers that every cycle reads."""
 
 FULL_FIELDS = Fields({name: kind for name, (kind, _) in _FULL.items()})
-"""What a full look shows, as the indirect data have it, one behind the other."""
+"""Registers of a full read, in the order of the indirect data, one behind the other."""
 
 
 class RegisterMap:
     """Addresses in the control table of one model.
 
     Attributes:
-        model: whose table it is.
-        torque, hardware_error, watchdog, goal_velocity: of these registers.
+        model: the model with this table.
+        torque, hardware_error, watchdog, goal_velocity: addresses of these registers.
         goal_addresses: of the goal of each joint: the drives' velocity, the steers' position.
         cycle_address, cycle_length: current, velocity and position, one range.
-        indirect_address: of the first; what they point at stands at `goal_data` and on.
+        indirect_address: address of Indirect Address 1; the data they point at begin at `goal_data`.
         audit_data, direct_audit, direct_audit_length: of an audit, through the indirect data and without.
-        direct_full_fields: of a full look without the indirect data, from `torque` on.
+        direct_full_fields: of a full read without the indirect data, from `torque` on.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -100,7 +100,7 @@ class RegisterMap:
         )
 
     def indirect_map(self, goal_address: int) -> bytes:
-        """Indirect Address 1..21: four bytes of a goal, then what a full look shows (`FULL_FIELDS`)."""
+        """Indirect Address 1..21: four bytes of a goal, then the registers of a full read (`FULL_FIELDS`)."""
         shown = (self._table[register] for _, register in _FULL.values())
         targets = [*range(goal_address, goal_address + _GOAL_LENGTH)]
         for register in shown:

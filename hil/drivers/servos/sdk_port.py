@@ -26,7 +26,7 @@ _COMES_BACK_NS, _PAUSE_NS = nanoseconds(1.5), nanoseconds(0.1)
 
 
 class PortLost(Exception):
-    """The port failed under us (unplugged, closed); stays inside this package."""
+    """The open port has failed (unplugged, closed); stays inside this package."""
 
 
 class ServoPort(PortHandler):  # type: ignore[misc]
@@ -59,10 +59,10 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._on_wire_ns: dict[int, int] = {}
 
     def open(self, device: str) -> None:
-        """Open the port; one that is gone is waited for: a pulled adapter may come back.
+        """Open the port; waits up to 1.5 s for one that is gone, as a pulled adapter may come back.
 
         Raises:
-            DeviceError: says what can be done about it.
+            DeviceError: the port cannot be opened; with a remedy.
         """
         end_ns = self._clock.now_ns() + _COMES_BACK_NS
         while True:
@@ -82,7 +82,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             self._clock.sleep_until_ns(now_ns + _PAUSE_NS)
 
     def setBaudRate(self, baudrate: int) -> bool:
-        """Another rate on the open port; raises `PortLost`."""
+        """Change the baud rate of the open port; raises `PortLost`."""
         try:
             self.ser.baudrate = baudrate
             self.ser.reset_input_buffer()
@@ -93,7 +93,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return True
 
     def closePort(self) -> None:
-        """Let go; never raises."""
+        """Close the port; never raises."""
         ser, self.ser, self.is_open, self.is_using = self.ser, None, False, False
         let_go(ser)
 
@@ -110,7 +110,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     @contextmanager
     def patient(self) -> Iterator[None]:
-        """Outside the control cycle: replies may take longer meanwhile, when the host is busy."""
+        """Allow longer reply times within the context, for a busy host; not for the control cycle."""
         before, self._patience_s = self._patience_s, _PATIENCE_S
         try:
             yield
@@ -165,7 +165,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def receive(self, length: int, timeout_s: float) -> bytes:
         """Wait for `length` bytes `timeout_s` or half a millisecond more; raises `PortLost`.
 
-        Setting a time-out sets up the whole terminal again: one that is about right is left alone.
+        Setting a time-out configures the whole terminal again, so one that is about right is kept.
         """
         try:
             if not timeout_s <= self._timeout_s <= timeout_s + _TIMEOUT_STEP_S:
@@ -177,7 +177,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return data
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        """Deadline of a reply of that many bytes."""
+        """Set the deadline of a reply of `packet_length` bytes."""
         sent_ns = max(self._clock.now_ns(), self._sent_ns)
         self._deadline_ns = sent_ns + nanoseconds(self.reply_s(0, packet_length))
 

@@ -1,4 +1,4 @@
-"""Makes samples of reads of the bus: multi-turn positions, restarts, hardware errors; at times the health.
+"""Converts reads of the bus to samples: multi-turn positions, restarts, hardware errors, health.
 
 A register in velocity mode counts turns until the servo restarts; then it shows one turn again. A change that
 no motor could have made since the last reading is such a restart, and positions go on counting.
@@ -31,16 +31,16 @@ _ZERO = (0,) * 8
 Counts = np.ndarray
 
 ALL_SERVOS, NO_SERVOS = np.ones(8, dtype=bool), np.zeros(8, dtype=bool)
-for _who in (ALL_SERVOS, NO_SERVOS):
-    _who.setflags(write=False)
+for _mask in (ALL_SERVOS, NO_SERVOS):
+    _mask.setflags(write=False)
 
 
 _LOG = logging.getLogger(__name__)
 _NO_ALERT: tuple[int, ...] = (0,) * 8
 _floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
 _LOOKS = 4
-"""In the time of one health sample: a watchdog that trips unnoticed stops its wheel, and the
-supervisor calls a wheel blocked after half a second."""
+"""Full reads in the period of a health sample: a watchdog that trips unnoticed stops its wheel, and
+the supervisor reports a blocked wheel after half a second."""
 
 
 class MultiTurnCounter:
@@ -73,7 +73,7 @@ class MultiTurnCounter:
     def follow(
         self, raw: Sequence[int], velocity: Sequence[int], seen: np.ndarray, t_ns: int
     ) -> tuple[Sequence[int], np.ndarray]:
-        """Continuous counts, and which servos have started over.
+        """Continuous counts, and which servos have restarted.
 
         Args:
             raw: (8,) registers.
@@ -94,7 +94,7 @@ class MultiTurnCounter:
         return counts, jumped
 
     def _part(self) -> None:
-        """From now on each has its own time of the last reading."""
+        """Keep the time of the last reading for each servo from now on."""
         if self._together_ns is not None:
             self._last_ns[:] = self._together_ns
             self._together_ns = None
@@ -127,18 +127,18 @@ class MultiTurnCounter:
 
 
 class Samples:
-    """Makes samples out of readings, and remembers what they have in common.
+    """Converts readings to samples; keeps turns, alerts and the sequence number between them.
 
     Args:
         registers: of the servos' model.
-        blocks: what they held when they were read at open.
-        upkeep: knows the hardware errors.
+        blocks: their registers as read at open.
+        upkeep: reads and stores hardware errors.
         clock: for the time at which a sample had arrived.
         device: name in logs.
 
     Attributes:
         turns: positions across restarts.
-        doubtful: whether the latest sample wants a closer look: a servo has started over, or is back.
+        doubtful: whether a full read should follow the latest sample: a servo has restarted, or is back.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class Samples:
 
         Args:
             reading: of the bus.
-            restarted: joints that were found to have started over, and have been set up again.
+            restarted: joints that were found to have restarted, and have been set up again.
         """
         self._sequence += 1
         stamp = Stamp(reading.taken_ns, self._clock.now_ns(), self._sequence)
@@ -200,7 +200,7 @@ class Samples:
         return values
 
     def _follow(self, reading: Reading) -> tuple[Sequence[int], np.ndarray]:
-        """Positions (8,) in counts that go on, and which servos have started over."""
+        """Continuous positions (8,) in counts, and which servos have restarted."""
         rows = reading.registers
         self._registers = self._known(reading)
         return self.turns.follow(rows["position"], rows["velocity"], _seen(reading), reading.taken_ns)
@@ -208,7 +208,7 @@ class Samples:
     def _judge(
         self, reading: Reading, restarted: tuple[int, ...], jumped: np.ndarray
     ) -> tuple[tuple[Status, ...], tuple[int, ...]]:
-        """Status and alert byte per servo, with restarts and hardware errors looked into."""
+        """Status and alert byte per servo, with restarts and hardware errors."""
         status = list(reading.status)
         for j, flag in enumerate(reading.alert):
             if status[j] is not Status.OK:
@@ -234,7 +234,7 @@ def _seen(reading: Reading) -> np.ndarray:
 
 
 class HealthSchedule:
-    """Keeps the health of a full look every `health_period_s` until it is asked for."""
+    """Makes a health sample of a full read every `health_period_s`, and keeps it until `take`."""
 
     def __init__(self, config: ServosConfig, model: ServoModel, clock: Clock) -> None:
         self._clock, self._volt = clock, model.table["present_input_voltage"].scale
@@ -245,11 +245,11 @@ class HealthSchedule:
         self._kept: tuple[ServoHealth, ...] = ()
 
     def due(self) -> bool:
-        """Whether the next read should be a full look."""
+        """Whether the next read should be a full read."""
         return self._clock.now_ns() >= self._look_ns
 
     def note(self, reading: Reading) -> None:
-        """Take a full look; it becomes a sample when one is due and anything has answered."""
+        """Take a full read; it becomes a sample when one is due and any servo has answered."""
         now_ns = self._clock.now_ns()
         self._look_ns = now_ns + self._period_ns // _LOOKS
         if now_ns < self._due_ns:
@@ -270,6 +270,6 @@ class HealthSchedule:
         )
 
     def take(self) -> tuple[ServoHealth, ...]:
-        """The sample that has come up since the last call, if any."""
+        """The sample that was made since the last call, if any."""
         kept, self._kept = self._kept, ()
         return kept

@@ -1,8 +1,8 @@
-"""The propellers behind a Teensy: lines `THR<0..180>`, without confirmation.
+"""Driver of the propellers behind a Teensy: lines `THR<0..180>`, which are not acknowledged.
 
-Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
-that got lost, the firmware's way down after one that got damaged, and a restart do not last. A caller that
-reads sends it; without reads, after a stop or between motions, the driver does so by itself.
+Opening the port changes nothing. Once a throttle was commanded it is repeated, so that a lost line, the
+firmware's ramp down after a damaged line, and a restart do not last. `read` repeats it; without reads, after
+a stop or between motions, a timer of the driver does.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LOG = logging.getLogger(__name__)
 
 _SLACK_NS = 1_000_000
 _ALONE = 1.2
-"""Times the period after which a throttle is sent again without reads."""
+"""Multiple of the period after which a throttle is sent again without reads."""
 
 
 class TeensyThrust(Holding[ThrustSample]):
@@ -51,7 +51,7 @@ class TeensyThrust(Holding[ThrustSample]):
         self._reported = self._alone = False
 
     def open(self) -> None:
-        """Open the port; raises `DeviceError`. Nothing can tell whether a Teensy listens."""
+        """Open the port; raises `DeviceError`. Whether a Teensy receives the lines cannot be checked."""
         self.close()
         config = self._config
         try:
@@ -70,7 +70,7 @@ class TeensyThrust(Holding[ThrustSample]):
         self._identity = {"model": "Teensy", "port": config.port, "baud": str(config.baud)}
 
     def close(self) -> None:
-        """Let go of the port; the propellers go on. Idempotent; never raises."""
+        """Close the port; the propellers go on. Idempotent; never raises."""
         if self._end is not None:
             self._end()
             self._end = None
@@ -101,12 +101,12 @@ class TeensyThrust(Holding[ThrustSample]):
         return (ThrustSample(Stamp(now_ns, now_ns, self._sequence), throttle, math.nan, status),)
 
     def set_force_n(self, force_n: float) -> None:
-        """Ask for a force; raises `UsageError` for one that no throttle gives."""
+        """Command a force; raises `UsageError` for one that no throttle gives."""
         self._config.check_force(force_n, self.name)
         self.set_duty(self._config.throttle_for(force_n))
 
     def set_duty(self, duty: float) -> None:
-        """Ask for a throttle 0..1; raises `UsageError`, or `DeviceError` where the port takes nothing."""
+        """Command a throttle 0..1; raises `UsageError`, or `DeviceError` where the port takes nothing."""
         if not (math.isfinite(duty) and 0.0 <= duty <= 1.0):
             raise UsageError(
                 f"{self.name}: a throttle of {duty:g}", expected="0 to 1", remedy="a share of full throttle"
@@ -122,11 +122,11 @@ class TeensyThrust(Holding[ThrustSample]):
         self._alone = alone
 
     def _due_ns(self) -> int:
-        """When the throttle has been left alone for too long."""
+        """Time at which the timer sends the throttle if no read has."""
         return self._sent_ns + round(_ALONE * self._repeat_ns)
 
     def _repeat(self, now_ns: int) -> int:
-        """Send the throttle again if no read has; the time of the next check."""
+        """Send the throttle again if no read has; returns the time of the next check."""
         if now_ns >= self._due_ns() and self._step is not None and not self._alone:
             try:
                 if self._send(self._step):

@@ -1,8 +1,8 @@
 """Receives an emulated camera's poses over UDP, in the shape of a librealsense pipeline.
 
-It subscribes with one small datagram, renews that every second, and hands every pose to the callback
-from a thread of its own, as librealsense does. Settings and wheel odometry go the same way. The datagrams are
-laid out in `hil.core.t265_datagrams`.
+It subscribes with one small datagram, renews that every 100 datagrams or after 0.1 s of silence, and passes
+every pose to the callback from a thread of its own, as librealsense does. Settings and wheel odometry go the
+same way. `hil.core.t265_datagrams` has the layout of the datagrams.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class FeedFrame:
         self._fields = fields
 
     def is_pose_frame(self) -> bool:
-        """A feed carries nothing else."""
+        """True: a feed carries only poses."""
         return True
 
     def as_pose_frame(self) -> FeedFrame:
@@ -71,7 +71,7 @@ class FeedFrame:
 
 
 class FeedDevice:
-    """What the feed says about the camera, in the shape of a librealsense device and profile."""
+    """The camera's data from the feed, in the shape of a librealsense device and profile."""
 
     def __init__(self, record: bytes) -> None:
         _, _, *texts = INFO_RECORD.unpack(record)
@@ -165,7 +165,7 @@ class FeedPipeline:
         return self._sensor
 
     def start(self, config: Any, callback: Callable[[Frame], None]) -> FeedDevice:
-        """Subscribe; raises `RuntimeError` when no camera (of the asked serial number) answers."""
+        """Subscribe; raises `RuntimeError` when no camera (of the requested serial number) answers."""
         self.stop()
         self._stopping.clear()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -1,4 +1,4 @@
-"""The part of librealsense that the driver uses, as protocols, and where it comes from.
+"""The part of librealsense that the driver uses, as protocols, and the functions that load it.
 
 A real camera needs the extra `[t265]` with pyrealsense2 2.53.1, whose last wheels are for CPython
 3.10: newer versions have lost the T265 (librealsense's release notes).
@@ -45,7 +45,7 @@ class Pipeline(Protocol):
     """
 
     def start(self, config: Any, callback: Callable[[Frame], None]) -> Any:
-        """Begin to stream; returns the profile, whose device knows its name and serial number."""
+        """Begin to stream; returns the profile, whose device has a name and a serial number."""
 
     def stop(self) -> None:
         """End the stream."""
@@ -59,11 +59,11 @@ class StreamRequest:
         self.serial: str | None = None
 
     def enable_stream(self, stream: str) -> None:
-        """Ask for a stream by name."""
+        """Request a stream by name."""
         self.streams.append(stream)
 
     def enable_device(self, serial: str) -> None:
-        """Ask for one camera by its serial number."""
+        """Request one camera by its serial number."""
         self.serial = serial
 
     def resolve(self, pipeline: Any) -> Any:
@@ -93,7 +93,7 @@ class _CameraInfo:
 
 
 class PlainLibrary:
-    """The names of the library that go with a pipeline that is not librealsense's own."""
+    """Replaces the library's names for a pipeline that is not librealsense's own."""
 
     config = StreamRequest
     stream = _Streams
@@ -120,8 +120,8 @@ def find_camera(
 ) -> tuple[Any, str]:
     """A pipeline on a connected T265, and that camera's serial number.
 
-    A T265 has no firmware until the library has given it one, which takes seconds after it was plugged in:
-    the library is asked again and again.
+    The library loads the firmware of a T265, which takes seconds after it was plugged in: until then the
+    library is polled.
 
     Args:
         library: the module pyrealsense2, or what stands in for it.

@@ -1,4 +1,4 @@
-"""The T265 as a sensor: poses taken from the library's thread, put on the bench clock, judged.
+"""Driver of the T265: poses from the library's thread, on the bench clock, with a status.
 
 Camera axes are x right, y up, z back; robot axes are x forward, y left, z up, so that
 (x, y, z) = (-z, -x, y) of the camera, for vectors and for the vector part of a quaternion, both of
@@ -112,7 +112,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._usefulness.begin(self._clock.now_ns())
 
     def reopen(self) -> None:
-        """As `open`, after the camera was away: it counts poses and place anew, and its samples say so."""
+        """As `open`, after an outage: sample numbers go on, and the first usable pose has status RESET."""
         self._resumed_at = max(self._resumed_at, self._seq_base + self._number + 1)
         self.open()
         self._seq_base = self._resumed_at - int(self._queue[0][1])
@@ -161,7 +161,7 @@ class T265Tracker(Sensor[TrackerSample]):
         return tuple(samples)
 
     def take_wheel_velocity(self, v_x_m_s: float, v_y_m_s: float) -> None:
-        """Tell the camera how the body's origin moves in the body's axes, by the wheels; never waits."""
+        """Send the camera the velocity of the body's origin by the wheels, body axes; never waits."""
         if self._wheels is not None:
             self._wheels.take(v_x_m_s, v_y_m_s)
 
@@ -182,7 +182,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._stuck.reset(self._clock.now_ns())
 
     def _choose(self) -> tuple[Pipeline, Any]:
-        """The pipeline to run and the library whose names it understands."""
+        """The pipeline to run and the library module that belongs to it."""
         if self._given is not None:
             return self._given, PlainLibrary if self._library is None else self._library
         if self._config.endpoint is not None:
@@ -235,7 +235,7 @@ class T265Tracker(Sensor[TrackerSample]):
         )
 
     def _take(self, frame: Frame) -> None:
-        """Called by the library's thread with every frame: keep the numbers, let the frame go."""
+        """Called by the library's thread with every frame: copy its numbers and release it."""
         host_ns = self._clock.now_ns()
         try:
             if not frame.is_pose_frame():
@@ -295,7 +295,7 @@ class T265Tracker(Sensor[TrackerSample]):
         return TrackerSample(stamp, values[0:3], values[3:7], values[7:10], values[10:13], confidence, status)
 
     def _begin_again(self, number: int) -> None:
-        """The camera counts from the beginning, in another frame: its first usable pose says so."""
+        """Handle a restart: numbers and pose frame begin anew, and the next usable pose has status RESET."""
         _LOG.warning("%s has started again", self.name)
         self._seq_base += self._number + 1 - number
         self._jumps.distrust()

@@ -52,17 +52,17 @@ def wheel_calibration(config: T265Config) -> str:
 
 
 def tell(device: Any, library: Any, config: T265Config, name: str, *, beside: bool) -> WheelVelocities | None:
-    """Set what the camera does with its map and, if asked for, let it know of the wheels.
+    """Set the map options of the camera and, if configured, its wheel odometry.
 
     Args:
         device: of the resolved profile; nothing streams yet.
-        library: whose names it understands.
-        config: what is wanted.
+        library: the module with the names of the options.
+        config: the wanted options.
         name: of the device in errors.
         beside: whether velocities are sent by a thread, so that the loop does not wait for USB.
 
     Returns:
-        What takes the wheels' velocities; None where none are wanted.
+        The sender of wheel velocities; None without wheel odometry.
 
     Raises:
         DeviceError: the camera does not know an option, or refuses the wheels.
@@ -98,11 +98,11 @@ def _other_firmware(name: str, what: str) -> DeviceError:
 
 
 class WheelVelocities:
-    """Hands velocities of the wheels to the camera; the newest counts where it is slow.
+    """Sends wheel velocities to the camera; only the newest where the camera is slow.
 
     Args:
         sensor: the camera's wheel odometer.
-        library: whose vectors it takes.
+        library: the module with the type of its vectors.
         beside: whether a thread sends them.
 
     Attributes:

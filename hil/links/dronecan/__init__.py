@@ -1,1 +1,1 @@
-"""A fan whose controller speaks DroneCAN: the few messages that keep it running, and its driver."""
+"""The few DroneCAN messages that keep a fan running."""

@@ -1,7 +1,7 @@
 """The few DroneCAN messages of a motor controller: set-points to it, its status, and "I am here".
 
-By hand and with the standard library only, because the process that keeps the fan running uses them; tests
-hold every byte against PyPI `dronecan`. Set-points fit into one frame, a status takes three.
+Encoded here with the standard library only, because the process that keeps the fan running uses them; tests
+compare every byte with PyPI `dronecan`. Set-points fit into one frame, a status takes three.
 """
 
 from __future__ import annotations
@@ -102,13 +102,13 @@ def command_of(frame_id: int, data: bytes | bytearray, index: int) -> tuple[int,
 
 
 class StatusReader:
-    """Puts the frames of statuses together, of any number of controllers."""
+    """Reassembles status messages from frames, of any number of controllers."""
 
     def __init__(self) -> None:
         self._begun: dict[int, list[bytes]] = {}
 
     def take(self, frame_id: int, data: bytes | bytearray) -> EscStatus | None:
-        """A status, with its last frame; None before, and for all else."""
+        """The status that a frame completes; None for any other frame."""
         if frame_id & 0x80 or frame_id >> 8 & 0xFFFF != STATUS or not data:
             return None
         node_id, tail = frame_id & 0x7F, data[-1]

@@ -46,4 +46,4 @@ __all__ = [
 ]
 
 DBC = Path(__file__).with_name("vesc.dbc")
-"""The frames for cantools and the like, of a controller with id 0: add yours to each identifier."""
+"""The frames for cantools and the like, of a controller with id 0: add the id to each identifier."""

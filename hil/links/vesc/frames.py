@@ -15,9 +15,9 @@ from typing import NamedTuple
 from hil.core.errors import UsageError
 
 ALL_SERVOS = 255
-"""The controller id that every controller listens to."""
+"""Broadcast id: every controller obeys commands to it."""
 HIGHEST_ID = 254
-"""Of a single controller."""
+"""Highest id of a single controller."""
 
 _INT32, _INT16 = struct.Struct(">i"), struct.Struct(">h")
 _LONGEST_OFF_DELAY_S = 32.767
@@ -74,11 +74,11 @@ class Order:
     """A `SET_*` command. Each renews the controller's time-out, whatever it sets.
 
     Attributes:
-        controller_id: to whom; `ALL_SERVOS` for all.
-        packet: which quantity.
+        controller_id: the receiver; `ALL_SERVOS` for all.
+        packet: the quantity.
         value: duty -1..1, current A, electrical rpm, position deg, or share of the configured current.
         off_delay_s: of a (relative) current: how long the controller goes on modulating at 0 A; None for a
-            command that says nothing about it.
+            command without this field.
     """
 
     controller_id: int
@@ -93,8 +93,8 @@ class Pong:
 
     Attributes:
         controller_id: of the controller that answers.
-        asker_id: of the node that asked.
-        hardware: 0 for a motor controller; None from firmware that does not say.
+        asker_id: of the node that sent the ping.
+        hardware: 0 for a motor controller; None from firmware that does not report it.
     """
 
     controller_id: int
@@ -183,7 +183,7 @@ _REPORTS: dict[int, _Layout] = {
 
 
 def address(packet: Packet, controller_id: int) -> int:
-    """The 29-bit identifier; raises `UsageError` for a controller that cannot be."""
+    """The 29-bit identifier; raises `UsageError` for an impossible controller id."""
     if not 0 <= controller_id <= ALL_SERVOS:
         raise UsageError(
             f"VESC controller id {controller_id}", expected=f"0 to {HIGHEST_ID}, or {ALL_SERVOS} for all"
@@ -192,7 +192,7 @@ def address(packet: Packet, controller_id: int) -> int:
 
 
 def order_frame(order: Order) -> CanFrame:
-    """The frame of a command, rounded to the wire's resolution; out of range is the controller's to clip.
+    """The frame of a command, rounded to the wire's resolution; the controller clips it to its range.
 
     Raises:
         UsageError: a packet that sets nothing, or a value that the wire cannot carry.
@@ -211,7 +211,7 @@ def order_frame(order: Order) -> CanFrame:
 
 
 def _off_delay(order: Order) -> bytes:
-    """The two bytes that a current may have besides; raises `UsageError`."""
+    """The two optional bytes of a current command; empty without; raises `UsageError`."""
     if order.off_delay_s is None:
         return b""
     if order.packet not in _WITH_OFF_DELAY or not 0.0 <= order.off_delay_s <= _LONGEST_OFF_DELAY_S:
@@ -223,14 +223,14 @@ def _off_delay(order: Order) -> bytes:
 
 
 def ping_frame(controller_id: int, asker_id: int) -> CanFrame:
-    """Asks a controller, or all, for a `Pong` to `asker_id`; renews no time-out."""
+    """The frame that requests a `Pong` to `asker_id` from a controller, or all; renews no time-out."""
     return CanFrame(address(Packet.PING, controller_id), bytes([asker_id]))
 
 
 def decode(frame_id: int, data: bytes | bytearray) -> Message | None:
-    """What an extended frame says; None for any other packet and for one that is too short.
+    """Decode an extended frame; None for any other packet and for one that is too short.
 
-    Longer data is taken: the firmware has appended to its frames before.
+    Longer data is accepted: the firmware has appended to its frames before.
     """
     command, controller_id = frame_id >> 8, frame_id & 0xFF
     if (report := _REPORTS.get(command)) is not None:

@@ -9,7 +9,7 @@ _HERE = "hil.devices.adhesion.dronecan"
 
 
 class DroneCan(DaemonFan):
-    """It is not looked for: to ask a DroneCAN bus is to take part in it."""
+    """A fan on a DroneCAN controller; discovery skips it, as a query makes the asker a node of the bus."""
 
     kind, name, title = "adhesion", "dronecan", "a ducted fan on a controller that speaks DroneCAN"
     config, subnet, printed = DroneCanConfig, 164, ("node_id", "esc_index")

@@ -34,7 +34,7 @@ class DroneCanConfig(MotorConfig):
         return (Claim("node_id", _NODE, self.node_id), Claim("own_id", _NODE, self.own_id))
 
     def daemon_spec(self) -> dict[str, Any]:
-        """As of any motor controller, which has no set-point of current here."""
+        """As for any motor controller, but without a highest current: there is no current set-point."""
         common = super().daemon_spec()
         highest = {name: value for name, value in common["highest"].items() if name != "current_a"}
         details = {"esc_index": self.esc_index, "node_id": self.own_id, "rpm_per_v": self.rpm_per_v}

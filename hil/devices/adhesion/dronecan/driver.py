@@ -27,7 +27,7 @@ _PRIORITY = 30
 
 
 class DroneCanFan(MotorFan[DroneCanConfig]):
-    """One fan; arguments as of any."""
+    """One fan; arguments as for `MotorFan`."""
 
     def __init__(
         self, config: DroneCanConfig, clock: Clock, make_commander: MakeCommander | None = None
@@ -43,7 +43,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
 
     def _greet(self, spec: Spec) -> dict[str, str]:
         config = self._config
-        nodes, indices, info = self._looked_at()
+        nodes, indices, info = self._observed()
         if not nodes[config.node_id]:
             raise self._absent(sorted(nodes))
         ours = indices.get(config.esc_index, set())
@@ -71,17 +71,17 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
             "index": str(config.esc_index),
         }
 
-    def _looked_at(self) -> tuple[Counter[int], dict[int, set[int]], str]:
-        """Messages of each node, the nodes of each index, and what ours says that it is."""
+    def _observed(self) -> tuple[Counter[int], dict[int, set[int]], str]:
+        """Message count by node, nodes by ESC index, and the description that our node reports."""
         config, clock = self._config, self._clock
         receiver, nodes, indices, info = Receiver(), Counter[int](), dict[int, set[int]](), ""
-        asked_ns, asked = -_ASK_NS, 0
+        asked_ns, requests = -_ASK_NS, 0
         end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
         least_ns = clock.now_ns() + nanoseconds(config.open_timeout_s / 3)
         while (now_ns := clock.now_ns()) < end_ns:
             if now_ns - asked_ns >= _ASK_NS and not info:
-                asked_ns, asked = now_ns, asked + 1
-                self._ask_who_it_is(asked)
+                asked_ns, requests = now_ns, requests + 1
+                self._request_node_info(requests)
             for _, message in self._link.take(_WAIT_S):
                 transfer = receiver.take(message.arbitration_id, bytes(message.data))
                 if transfer is None or not message.is_extended_id:
@@ -97,7 +97,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
                 break
         return nodes, indices, info
 
-    def _ask_who_it_is(self, transfer_id: int) -> None:
+    def _request_node_info(self, transfer_id: int) -> None:
         request = self._dronecan.uavcan.protocol.GetNodeInfo.Request()
         for frame_id, data in frames_of(
             request,
@@ -131,19 +131,19 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         )
 
     def _report(self, message: can.Message) -> EscStatus | None:
-        said, config = self._reader.take(message.arbitration_id, message.data), self._config
-        ours = said is not None and (said.node_id, said.index) == (config.node_id, config.esc_index)
-        return said if ours and message.is_extended_id else None
+        report, config = self._reader.take(message.arbitration_id, message.data), self._config
+        ours = report is not None and (report.node_id, report.index) == (config.node_id, config.esc_index)
+        return report if ours and message.is_extended_id else None
 
-    def _figures(self, said: EscStatus, t_ns: int) -> Figures:
-        self._volts = said.voltage_v
+    def _figures(self, report: EscStatus, t_ns: int) -> Figures:
+        self._volts = report.voltage_v
         return Figures(
-            speed_rpm=float(said.rpm),
+            speed_rpm=float(report.rpm),
             duty=math.nan,
             motor_a=math.nan,
-            input_a=said.current_a,
-            input_v=said.voltage_v,
-            fet_c=said.temperature_k - _KELVIN,
+            input_a=report.current_a,
+            input_v=report.voltage_v,
+            fet_c=report.temperature_k - _KELVIN,
             motor_c=math.nan,
         )
 
@@ -152,7 +152,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Findings on the identity, the settings and the daemon of the fan."""
-        silent = "it does not tell its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
+        silent = "it does not report its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
         return (
             Finding(
                 self.name,

@@ -1,4 +1,4 @@
-"""PyPI `dronecan`, where it is installed: its messages, and frames of them."""
+"""Access to the optional package PyPI `dronecan`: its import, and transfers to and from frames."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MOST_TRANSFERS = 64
 
 
 def library() -> Any:
-    """The package; raises `ConfigError` where it is missing."""
+    """Import the package; raises `ConfigError` where it is missing."""
     if not is_installed("dronecan"):
         raise ConfigError(
             'adhesion.model = "dronecan" needs PyPI dronecan', remedy=how_to_install("dronecan")
@@ -33,7 +33,7 @@ def frames_of(payload: Any, *, source: int, transfer_id: int, priority: int, **s
 
 
 class Receiver:
-    """Puts frames together to messages; whatever does not fit together is dropped."""
+    """Reassembles frames into transfers; drops frames that do not fit together."""
 
     def __init__(self) -> None:
         from dronecan.transport import TransferManager
@@ -41,7 +41,7 @@ class Receiver:
         self._manager = TransferManager()
 
     def take(self, frame_id: int, data: bytes) -> Any | None:
-        """The transfer that a frame completes."""
+        """Take a frame; returns the transfer that it completes, else None."""
         from dronecan.transport import Frame, Transfer
 
         if not data:

@@ -32,7 +32,7 @@ _NAME = "org.vesc.emulated"
 
 @dataclass(frozen=True)
 class DroneCanTruthOptions(AdhesionTruthOptions):
-    """As of a VESC; `rate_1_hz` is that of `esc.Status`, `rate_2_hz` that of `NodeStatus`."""
+    """As for a VESC; `rate_1_hz` is the rate of `esc.Status`, `rate_2_hz` the rate of `NodeStatus`."""
 
     rate_1_hz: float = 50.0
     rate_2_hz: float = 1.0
@@ -41,7 +41,7 @@ class DroneCanTruthOptions(AdhesionTruthOptions):
 
 
 class DroneCanNode(MotorNode):
-    """One controller; arguments as of any."""
+    """One controller; arguments as for `MotorNode`."""
 
     Options = DroneCanTruthOptions
 
@@ -57,7 +57,7 @@ class DroneCanNode(MotorNode):
         self._sent: Counter[str] = Counter()
         self._frozen: tuple[float, ...] | None = None
         super().__init__(world, channel, config, options, name)
-        library()  # takes a second, which is none of the world's; where it is missing, that is said now
+        library()  # import now: it takes a second of real time, and raises here where the package is missing
 
     @cached_property
     def _messages(self) -> Any:
@@ -68,7 +68,7 @@ class DroneCanNode(MotorNode):
         return Receiver()
 
     def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:
-        """A frame from the bus."""
+        """Process a frame from the bus."""
         if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return
         transfer = self._receiver.take(message.arbitration_id, bytes(message.data))
@@ -84,7 +84,7 @@ class DroneCanNode(MotorNode):
             self._obey(transfer.payload.rpm, t_ns, lambda rpm: Demand("rpm", float(rpm)))
 
     def _obey(self, values: Any, t_ns: int, demand: Callable[[int], Demand]) -> None:
-        """A set-point, if there is one for this controller; nothing is refused."""
+        """Apply the set-point for this controller, if there is one; no value is refused."""
         if self._index < len(values):
             value = int(values[self._index])
             self.fan.demand = demand(value) if value else Demand()
@@ -135,7 +135,7 @@ class DroneCanNode(MotorNode):
         self._put(frames, send_ns, spoilt=not rate)
 
     def _status(self, t_ns: int) -> Any:
-        """What it says of the motor, under the faults that are active."""
+        """`esc.Status` of the motor, with the active faults applied."""
         fan, noise = self.fan, self._rng.standard_normal(2)
         rpm = fan.speed_rpm + self._offset_rpm + (_NOISE_RPM * noise[0] if fan.speed_rpm else 0.0)
         amps = fan.input_a + (_NOISE_A * noise[1] if fan.input_a else 0.0)
@@ -155,7 +155,7 @@ class DroneCanNode(MotorNode):
         return status
 
     def _put(self, frames: list[tuple[int, bytes]], t_ns: int, *, spoilt: bool = False) -> None:
-        """On the bus; reports are what faults spoil."""
+        """Send frames; `spoilt` frames (reports) get the damage of active faults."""
         garbage = spoilt and self._faults.find("garbage", t_ns) is not None
         corrupt = self._faults.find("corrupt", t_ns) if spoilt else None
         for frame_id, data in frames:

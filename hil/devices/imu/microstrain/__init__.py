@@ -1,8 +1,8 @@
 """MicroStrain (HBK) 3DM-CV7 and 3DM-GV7 on a serial port, which speak the public MIP protocol.
 
-Why this one beside the BNO055, which is no longer made: it can be bought, its maker publishes protocol and an
-SDK under the MIT licence, and one packet holds attitude, rates, linear acceleration, gravity, the filter's
-state and the sensor's own time, from 100 to 1000 times a second.
+It is supported beside the BNO055, which is no longer made, because it is on sale, its maker publishes the
+protocol and an SDK under the MIT licence, and one packet holds attitude, rates, linear acceleration, gravity,
+the filter's state and the sensor's own time, from 100 to 1000 times a second.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LATE_S = 0.03
 
 
 def look(watched: Watched) -> Iterator[Finding]:
-    """Findings about its filter, its rate, and whether samples come late."""
+    """Findings on the sensor's filter, its rate and its late samples."""
     imu: MicrostrainImu = watched.device
     if imu.latest is not None:
         yield _filter(imu.latest)
@@ -61,7 +61,7 @@ def look(watched: Watched) -> Iterator[Finding]:
 
 
 def _filter(data: f.FilterData) -> Finding:
-    """What the sensor's own filter says of itself."""
+    """Finding on the state that the sensor's own filter reports."""
     state = f.FILTER_STATES.get(data.state, f"state {data.state}")
     condition = f.CONDITIONS.get(data.flags & f.CONDITION_MASK, "condition unknown")
     doubts = [text for bit, text in f.WARNINGS.items() if data.flags & bit]

@@ -1,7 +1,7 @@
-"""Commands to a MicroStrain sensor and its answers, one at a time, without ever waiting for one.
+"""Commands to a MicroStrain sensor and its replies, one at a time, without blocking.
 
-A script says which commands a sensor needs and takes their answers; a dialogue sends them, repeats what
-is lost, and begins anew when the sensor stays silent in the middle: it may have been switched off.
+A script yields the commands and takes their replies. A dialogue sends them, repeats those without a reply,
+and restarts the script when the sensor stays silent: it may have been switched off.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ class Command(NamedTuple):
 
 
 class RefusedError(Exception):
-    """The sensor does not do what a command asks; stays inside this package."""
+    """The sensor rejects a command; stays inside this package."""
 
     def __init__(self, command: Command, code: int) -> None:
         super().__init__(f"it refuses {command.name!r} ({f.REFUSALS.get(code, f'code {code}')})")
 
 
 class UnsuitableError(Exception):
-    """Something else answers, or it cannot do what the bench file asks; stays inside this package."""
+    """Another device answers, or the sensor lacks what the bench file asks; stays inside this package."""
 
     def __init__(self, message: str, expected: str, remedy: str) -> None:
         super().__init__(message)
@@ -55,7 +55,7 @@ class UnsuitableError(Exception):
 
 @dataclass(frozen=True)
 class SetUp:
-    """The identity of a sensor, and how often it sends what the bench wants; NaN where it was only asked."""
+    """Identity of a sensor, and its sample rate; NaN where it was only identified."""
 
     info: f.DeviceInfo
     rate_hz: float
@@ -90,7 +90,7 @@ def set_up(config: MicrostrainConfig) -> Script:
 
 
 def identified() -> Script:
-    """Identify the sensor and change nothing; one that is streaming goes on."""
+    """Identify the sensor and change nothing; a running stream goes on."""
     info = _identified((yield Command("device info", f.BASE, f.DEVICE_INFO, answer=f.DEVICE_INFO_REPLY)))
     return SetUp(info, math.nan)
 
@@ -111,7 +111,7 @@ def _identified(data: bytes) -> f.DeviceInfo:
 
 
 def _decimation(base_hz: int, wanted_hz: float) -> int:
-    """By what the sensor divides its own rate, so that it comes nearest to the one wanted."""
+    """The divisor of the sensor's own rate that comes nearest to `wanted_hz`; raises `UnsuitableError`."""
     decimation = max(1, round(base_hz / wanted_hz))
     if abs(base_hz / decimation - wanted_hz) > _FARTHEST * wanted_hz:
         near = sorted({base_hz / n for n in (max(1, int(base_hz / wanted_hz)), int(base_hz / wanted_hz) + 1)})
@@ -125,7 +125,7 @@ def _decimation(base_hz: int, wanted_hz: float) -> int:
 
 
 def _own_axes() -> Generator[Command, bytes, None]:
-    """Vectors in the axes on the case. Written only where it differs: the filter starts anew with it."""
+    """Have vectors in the axes on the case; written only where they differ, as it restarts the filter."""
     asked = Command("axes", f.THREE_DM, f.TRANSFORM, bytes((f.READ,)), f.TRANSFORM_REPLY)
     plain = bytes((f.WRITE,)) + _THREE_FLOATS.pack(0.0, 0.0, 0.0)
     for _ in range(_TRANSFORM_TRIES):
@@ -139,7 +139,7 @@ def _own_axes() -> Generator[Command, bytes, None]:
 
 
 def _quieted(descriptor_set: int) -> Generator[Command, bytes, None]:
-    """No data of this set; a sensor that has none refuses."""
+    """Stop the data of a descriptor set; a sensor without that set rejects the command."""
     try:
         yield Command("data stream", f.THREE_DM, f.STREAM, bytes((f.WRITE, descriptor_set, 0)))
     except RefusedError:
@@ -147,7 +147,7 @@ def _quieted(descriptor_set: int) -> Generator[Command, bytes, None]:
 
 
 class Dialogue:
-    """One script at work.
+    """Runs one script.
 
     Args:
         script: makes the script; called again when the sensor has stayed silent.
@@ -155,7 +155,7 @@ class Dialogue:
         patience_ns: longest wait for an answer.
 
     Attributes:
-        result: what the script has come to; None until then.
+        result: the script's result; None until it has ended.
         answered: whether the sensor has answered anything.
     """
 
@@ -174,10 +174,10 @@ class Dialogue:
         self._tries, self._again_ns = 0, 0
 
     def take(self, packet: Packet) -> None:
-        """Look at a packet that has come.
+        """Process a packet that has arrived.
 
         Raises:
-            RefusedError, UnsuitableError: it goes no further.
+            RefusedError, UnsuitableError: the script has failed.
         """
         if packet.descriptor_set != self._command.descriptor_set or self.result is not None:
             return
@@ -207,7 +207,7 @@ class Dialogue:
 
 
 def _acknowledged(found: tuple[Field, ...], command: Command) -> int | None:
-    """The code of this command's acknowledgement; None when it is not there."""
+    """The code of this command's acknowledgement; None when that is missing."""
     for field in found:
         if field.descriptor == f.ACK and len(field.data) == 2 and field.data[0] == command.descriptor:
             return field.data[1]
@@ -215,14 +215,14 @@ def _acknowledged(found: tuple[Field, ...], command: Command) -> int | None:
 
 
 def _answer(found: tuple[Field, ...], command: Command) -> bytes | None:
-    """The data that a command asks for, empty when it asks for none; None when they are not there."""
+    """The data that a command requests, empty when it requests none; None when they are missing."""
     if command.answer is None:
         return b""
     return next((field.data for field in found if field.descriptor == command.answer), None)
 
 
 def answers(config: MicrostrainConfig, clock: Clock) -> bool:
-    """Whether a MicroStrain sensor is at a port. It is asked for its identity, and keeps its settings."""
+    """Whether a MicroStrain sensor is at a port. It is only identified, and keeps its settings."""
     link, parser = Link(config, "imu"), PacketParser(longest_packet_ns(config))
     dialogue = Dialogue(identified, link.send, nanoseconds(config.reply_timeout_s))
     end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)

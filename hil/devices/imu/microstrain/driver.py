@@ -1,8 +1,8 @@
-"""A MicroStrain sensor as a sensor of the bench: it streams, the driver drains and never waits.
+"""Driver of a MicroStrain sensor: drains its stream without waiting.
 
-`open` sets the sensor up (`dialogue`) and waits for that alone. A sensor that falls silent, has restarted
+`open` sets the sensor up (`command_queue`); nothing else waits. A sensor that falls silent, has restarted
 or sends something else is set up again while it is read, one command at a time. Its own time stamps are
-mapped to the bench clock. What the data mean is in `readings`.
+mapped to the bench clock. `filter_samples` converts its data.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         clock: the bench clock; every wait and every stamp is on it.
 
     Attributes:
-        latest: the last set of filter data, whatever it is worth; None before the first.
+        latest: the last set of filter data, good or bad; None before the first.
         rate_hz: samples per second that the sensor has been set to; NaN before it has been.
     """
 
@@ -60,7 +60,7 @@ class MicrostrainImu(Sensor[ImuSample]):
 
     @classmethod
     def identify_only(cls, config: MicrostrainConfig, clock: Clock) -> dict[str, str] | None:
-        """{} where the sensor is at the port, else None. It keeps its settings."""
+        """{} where a MicroStrain sensor is at the port, else None. It keeps its settings."""
         return {} if answers(config, clock) else None
 
     def __init__(self, config: MicrostrainConfig, clock: Clock) -> None:
@@ -105,7 +105,7 @@ class MicrostrainImu(Sensor[ImuSample]):
             raise
 
     def reopen(self) -> None:
-        """As `open`, after the sensor was away: samples go on counting, and the first one says so."""
+        """As `open`, after an outage: sample numbers go on, and the first sample has status RESET."""
         self.open()
         self._restarted = True
 
@@ -115,7 +115,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         return self._opened and not self._link.is_open
 
     def close(self) -> None:
-        """Let go of the port; the sensor goes on by itself. Idempotent."""
+        """Close the port; the sensor goes on by itself. Idempotent."""
         self._identity, self._opened, self.rate_hz = {}, False, math.nan
         self._link.close()
 
@@ -177,7 +177,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         )
 
     def _drain(self, now_ns: int) -> list[ImuSample]:
-        """What has come, as samples; answers to commands go to the dialogue."""
+        """Parse what has arrived: data become samples, replies to commands go to the dialogue."""
         if not self._link.is_open:
             return []
         parser = self._parser
@@ -250,7 +250,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         return now_ns - self._heard_ns > max(least_ns, nanoseconds(periods / self.rate_hz))
 
     def _taken(self, data: f.FilterData, now_ns: int) -> tuple[ImuSample, ...]:
-        """A set of filter data as a sample; none while it is not known how the sensor is set."""
+        """Convert a set of filter data to a sample; none until the sensor has been set up."""
         before, self.latest = self.latest, data
         if before is not None and data.device_ns < before.device_ns:
             self._device_clock.reset()
@@ -277,7 +277,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         return (filter_samples.sample(data, self._stamp(t_ns, now_ns, data.device_ns), status),)
 
     def _missing(self, now_ns: int) -> tuple[ImuSample, ...]:
-        """A sample that says that there is none, every 20 ms while the sensor is silent."""
+        """A sample without values every 20 ms while the sensor is silent or what arrives is noise."""
         if now_ns - self._reported_ns < _REPORT_NS or not self._silent_for(
             now_ns, _SILENT_NS, _SILENT_PERIODS
         ):

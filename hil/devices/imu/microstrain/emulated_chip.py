@@ -1,8 +1,8 @@
 """The emulated MicroStrain sensor at the end of a serial line: power, filter, streams, its own clock.
 
-It starts silent (`boot_s`), then answers commands (`commands`); its filter initialises and runs. Settings
-are lost with the power unless they were saved. Data leave `processing_s` after they were measured, stamped
-by a clock that runs `clock_ppm` fast. A wrong baud rate is noise to both sides.
+It starts silent (`boot_s`), then answers commands (`emulated_commands`); its filter initialises and runs.
+Settings are lost with the power unless they were saved. Data leave `processing_s` after the measurement,
+stamped by a clock that runs `clock_ppm` fast. A wrong baud rate gives noise at both ends.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SUPPORTED_FAULTS: Supported = {
 
 
 class MicrostrainFaults(InertialFaults):
-    """What is wrong with the sensor.
+    """The active faults of the sensor.
 
     Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period;
     `delayed,delay_s=` sends data that much later, with their true stamps; `jump,angle_rad=` turns the
@@ -55,7 +55,7 @@ class MicrostrainFaults(InertialFaults):
         self._frozen: Fused | None = None
 
     def distort(self, fused: Fused, t_ns: int) -> Fused:
-        """What the sensor believes to have measured."""
+        """Filter outputs with the active faults applied."""
         if self.find("stuck", t_ns) is not None:
             self._frozen = self._frozen or fused
             return self._frozen
@@ -67,7 +67,7 @@ class MicrostrainFaults(InertialFaults):
         return dataclasses.replace(fused, rate=(x + extra, y + extra, z + extra))
 
     def spoil(self, data: bytes, t_ns: int) -> bytes:
-        """Bytes as they leave the sensor, and as a client at the wrong baud rate hears them."""
+        """Bytes on the line with the active faults applied: garbage, a wrong baud rate, silence."""
         if self.none or not data:
             return data
         if self.find("garbage", t_ns) or self.find("baud_mismatch", t_ns):
@@ -156,11 +156,11 @@ class MicrostrainChip(SerialChip):
         return replies
 
     def next_poll_ns(self) -> int:
-        """When it measures next; never while it has nothing to send."""
+        """Time of the next measurement; `NEVER_NS` while nothing is to be sent."""
         return self._next_ns
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """Measure, and send what the message format asks for at this tick of the filter."""
+        """Measure, and send the fields that the message format has at this tick of the filter."""
         if t_ns < self._next_ns:
             return []
         tick = self._tick
@@ -203,7 +203,7 @@ class MicrostrainChip(SerialChip):
         return reply
 
     def _plan(self, t_ns: int) -> None:
-        """The next tick of the filter at which something is sent, counted from the one at `t_ns`."""
+        """Schedule the next tick of the filter at which something is sent, counted from the one at `t_ns`."""
         entries = self.commands.sent()
         if not entries:
             self._next_ns = NEVER_NS
@@ -245,7 +245,7 @@ class MicrostrainChip(SerialChip):
 
 
 def _turned(fused: Fused, transform_rad: Three) -> Fused:
-    """In the vehicle's axes, which yaw, pitch and roll turn away from the sensor's, in this order."""
+    """Filter outputs in vehicle axes: the sensor's axes turned by yaw, pitch and roll, in this order."""
     if transform_rad == (0.0, 0.0, 0.0):
         return fused
     roll, pitch, yaw = (0.5 * angle for angle in transform_rad)

@@ -1,4 +1,4 @@
-"""Commands as the emulated MicroStrain sensor obeys them, and the settings that they change."""
+"""Commands of the emulated MicroStrain sensor, and the settings that they change."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _INVALID: Answer = (f.INVALID_PARAMETER, ())
 
 @dataclass(frozen=True)
 class Settings:
-    """What commands change.
+    """The settings that commands change.
 
     Attributes:
         formats: (descriptor, decimation) pairs by descriptor set.
@@ -37,7 +37,7 @@ class Settings:
 
 
 class Commands:
-    """The part of the firmware that listens.
+    """The part of the firmware that handles commands.
 
     Args:
         info: identity of the sensor.
@@ -47,7 +47,7 @@ class Commands:
     Attributes:
         settings, saved: in use, and kept without power.
         idle: whether a command has stopped its stream.
-        filter_resets, soft_resets: how often it was asked for them.
+        filter_resets, soft_resets: how often each was commanded.
     """
 
     def __init__(self, info: f.DeviceInfo, base_rate_hz: int, saved: Settings) -> None:
@@ -58,11 +58,11 @@ class Commands:
         self._known: dict[tuple[int, int], Callable[[bytes], Answer]] = {
             (f.BASE, f.PING): lambda data: _DONE,
             (f.BASE, f.SET_IDLE): self._set_idle,
-            (f.BASE, f.DEVICE_INFO): self._tell_who,
-            (f.BASE, f.BUILT_IN_TEST): self._test_itself,
+            (f.BASE, f.DEVICE_INFO): self._device_info,
+            (f.BASE, f.BUILT_IN_TEST): self._built_in_test,
             (f.BASE, f.RESUME): self._resume,
             (f.BASE, f.SOFT_RESET): self._soft_reset,
-            (f.THREE_DM, f.BASE_RATE): self._tell_base_rate,
+            (f.THREE_DM, f.BASE_RATE): self._base_rate,
             (f.THREE_DM, f.MESSAGE_FORMAT): self._message_format,
             (f.THREE_DM, f.STREAM): self._stream,
             (f.THREE_DM, f.SETTINGS): self._keep_settings,
@@ -72,7 +72,7 @@ class Commands:
         }
 
     def power_up(self) -> None:
-        """As after the power has come on."""
+        """Set the state that follows power-up."""
         self.settings, self.idle = self.saved, False
 
     def sent(self) -> tuple[tuple[int, int], ...]:
@@ -86,10 +86,10 @@ class Commands:
         for descriptor, data in packet.fields:
             command = self._known.get((packet.descriptor_set, descriptor))
             code, extra = (f.UNKNOWN_COMMAND, ()) if command is None else command(data)
-            said = [Field(f.ACK, bytes((descriptor, code))), *extra]
-            if payload_bytes([*replies[-1], *said]) > LARGEST_PAYLOAD:
+            reply = [Field(f.ACK, bytes((descriptor, code))), *extra]
+            if payload_bytes([*replies[-1], *reply]) > LARGEST_PAYLOAD:
                 replies.append([])
-            replies[-1] += said
+            replies[-1] += reply
         return b"".join(encode(packet.descriptor_set, fields) for fields in replies if fields)
 
     def _set_idle(self, data: bytes) -> Answer:
@@ -100,17 +100,17 @@ class Commands:
         self.idle = False
         return _DONE
 
-    def _tell_who(self, data: bytes) -> Answer:
+    def _device_info(self, data: bytes) -> Answer:
         return f.DONE, (Field(f.DEVICE_INFO_REPLY, self._info.to_bytes()),)
 
-    def _test_itself(self, data: bytes) -> Answer:
+    def _built_in_test(self, data: bytes) -> Answer:
         return f.DONE, (Field(f.BUILT_IN_TEST_REPLY, bytes(4)),)
 
     def _soft_reset(self, data: bytes) -> Answer:
         self.soft_resets += 1
         return _DONE
 
-    def _tell_base_rate(self, data: bytes) -> Answer:
+    def _base_rate(self, data: bytes) -> Answer:
         if len(data) != 1 or data[0] not in _SETS:
             return _INVALID
         rate = struct.pack(">BH", data[0], self._base_rate_hz)

@@ -1,4 +1,4 @@
-"""What the emulated MicroStrain sensor measures of the world, and what its filter makes of it.
+"""The measurements of the emulated MicroStrain sensor, and the outputs of its filter.
 
 Earth axes: z up, x along the horizontal direction that wall X leans to; they are the filter's north, west
 and up, turned by its heading error. Plain floats throughout: this runs up to a thousand times a second of
@@ -77,7 +77,7 @@ class Sensing:
 
     Args:
         options: true imperfections.
-        rng: the sensor's own.
+        rng: random generator of the sensor.
         mount_rotation_wxyz: sensor axes in the body.
     """
 
@@ -94,16 +94,16 @@ class Sensing:
         self.restart()
 
     def restart(self) -> None:
-        """The filter begins anew."""
+        """Restart the filter."""
         self._leak: Three = (0.0, 0.0, 0.0)
         self._last: tuple[int, float] | None = None
 
     def sense(self, truth: PlantState, *, drifts: bool) -> Fused:
-        """Outputs for the present truth.
+        """Filter outputs for the present true state.
 
         Args:
-            truth: of the plant.
-            drifts: whether the heading may: no magnetometer holds it.
+            truth: true state of the plant.
+            drifts: whether the heading drifts, as no magnetometer corrects it.
         """
         theta, tilt = float(truth.pose_body_in_wall[2]), truth.tilt_rad
         turn = float(truth.twist_body[2])
@@ -113,7 +113,7 @@ class Sensing:
         sensor_in_earth = multiplied(_attitude(theta, tilt, self.heading_error_rad), self._mount)
         up = rotated(conjugated(sensor_in_earth), (0.0, 0.0, 1.0))
         noise, o = self._draw(), self._options
-        felt = _sum(
+        specific_force = _sum(
             kinematic,
             _scaled(up, GRAVITY_M_S2),
             self.accelerometer_offset,
@@ -124,7 +124,7 @@ class Sensing:
         seen_up = self._vertical(up, kinematic, dt_s)
         gravity = _scaled(seen_up, -o.filter_gravity_m_s2)
         attitude = multiplied(_UP_TO_NED, _tilted(sensor_in_earth, up, seen_up))
-        return Fused(attitude, rate, _sum(felt, gravity), gravity)
+        return Fused(attitude, rate, _sum(specific_force, gravity), gravity)
 
     def _motion(self, truth: PlantState, turn: float) -> tuple[Three, float]:
         """Acceleration of the sensor, sensor axes, by origin + alpha x r + w x (w x r); and the time step."""

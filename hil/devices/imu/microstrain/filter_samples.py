@@ -1,7 +1,7 @@
 """Converts a set of filter data to a sample in the conventions of the bench, with its status.
 
 The sensor's gravity points down and its attitude is with respect to north, east, down: flat and at rest it
-says gravity (0, 0, +9.8) while its accelerometer feels (0, 0, -9.8), the specific force, and linear
+reports gravity (0, 0, +9.8), its accelerometer measures (0, 0, -9.8), the specific force, and linear
 acceleration is the sum of the two. A sample's gravity points up, which is the negative, and its attitude
 is with respect to north, west, up. Rates and linear acceleration stay as they are.
 """
@@ -17,7 +17,7 @@ from hil.core.signals import ImuSample, Stamp, Status
 from hil.devices.imu.microstrain import mip_fields as f
 
 WITH_VALUES = (Status.OK, Status.FROZEN, Status.IMPLAUSIBLE, Status.STALE)
-"""States in which a sample says what was measured; the others have NaN."""
+"""Statuses whose samples have the measured values; all others have NaN."""
 
 _NED_TO_UP = (0.0, 1.0, 0.0, 0.0)
 _NORM_LOW, _NORM_HIGH = 0.95**2, 1.05**2
@@ -27,7 +27,7 @@ _NAN3, _NAN4 = np.full(3, np.nan), np.full(4, np.nan)
 
 
 def judge(data: f.FilterData) -> Status:
-    """What the data say of themselves."""
+    """Status of filter data, by its flags, its validity and its values."""
     if data.flags & f.SOLUTION_ERROR:
         return Status.HARDWARE_ERROR
     if data.state < f.FIRST_RUNNING_STATE or not data.valid:
@@ -63,5 +63,5 @@ def sample(data: f.FilterData, stamp: Stamp, status: Status) -> ImuSample:
 
 
 def empty(stamp: Stamp, status: Status) -> ImuSample:
-    """A sample without values that says why."""
+    """A sample without values (NaN), whose status gives the reason."""
     return ImuSample(stamp, _NAN4, _NAN3, _NAN3, _NAN3, (), status)

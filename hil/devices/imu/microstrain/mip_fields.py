@@ -49,12 +49,12 @@ LAYOUTS = {
     LINEAR_ACCELERATION: struct.Struct(">3fH"),
     GRAVITY: struct.Struct(">3fH"),
 }
-"""Filter data that a bench uses, in the order in which it asks for them."""
+"""Filter data that a bench uses, in the order of its message format."""
 MEASURED = (QUATERNION, ANGULAR_RATE, LINEAR_ACCELERATION, GRAVITY)
 PACKET_BYTES = (
     HEAD_BYTES + sum(FIELD_HEAD_BYTES + layout.size for layout in LAYOUTS.values()) + CHECKSUM_BYTES
 )
-"""Length of the packet that holds all of them."""
+"""Length of the packet that holds all these fields."""
 
 FILTER_STATES = {0: "starting", 1: "initialising", 2: "vertical gyro", 3: "AHRS", 4: "full navigation"}
 FIRST_RUNNING_STATE = 2
@@ -100,12 +100,12 @@ class DeviceInfo:
 
     @property
     def firmware_text(self) -> str:
-        """As the vendor prints it."""
+        """Firmware version as the vendor prints it, such as 1.0.07."""
         return f"{self.firmware // 1000}.{self.firmware // 100 % 10}.{self.firmware % 100:02d}"
 
     @property
     def number(self) -> str:
-        """What is before the dash of the model number: which sensor it is."""
+        """The part of the model number before the dash, which names the sensor type."""
         return self.model_number.partition("-")[0]
 
 
@@ -114,13 +114,13 @@ class FilterData:
     """One set of filter data.
 
     Attributes:
-        device_ns: the sensor's own clock when it measured, ns since it was switched on.
+        device_ns: the sensor's clock at the measurement, ns since it was switched on.
         state, flags: of the filter.
         quaternion_wxyz: (4,), sensor in north, east, down.
         rate_rad_s, linear_m_s2: (3,), sensor frame; acceleration without gravity.
         gravity_m_s2: (3,), sensor frame, points down.
-        valid: whether the sensor says so of every one of them.
-        raw: the bytes of all that was measured.
+        valid: whether the sensor marks each of these values as valid.
+        raw: the bytes of all measured fields.
     """
 
     device_ns: int

@@ -19,7 +19,7 @@ BITS_PER_BYTE = 10
 
 
 class Field(NamedTuple):
-    """One field: what it is, and its bytes without the two of its head."""
+    """One field: its descriptor, and its bytes without the two of its head."""
 
     descriptor: int
     data: bytes = b""
@@ -59,7 +59,7 @@ def encode(descriptor_set: int, fields: Iterable[Field]) -> bytes:
 
 
 def cut(payload: bytes) -> tuple[Field, ...] | None:
-    """The fields that fill a payload exactly; None when they do not."""
+    """Split a payload into fields; None when they do not fill it exactly."""
     fields: list[Field] = []
     at = 0
     while at < len(payload):
@@ -72,7 +72,7 @@ def cut(payload: bytes) -> tuple[Field, ...] | None:
 
 
 class PacketParser:
-    """Cuts a byte stream into packets; never raises, keeps at most one unfinished packet.
+    """Splits a byte stream into packets; never raises, keeps at most one unfinished packet.
 
     Args:
         patience_ns: how long the rest of a packet may take. A spoilt length byte would otherwise hold
@@ -123,12 +123,12 @@ class PacketParser:
         return (Packet(frame[2], fields),)
 
     def _reject(self) -> None:
-        """Not a packet after all: look for one behind these sync bytes."""
+        """Count a packet as rejected, and go on searching behind its sync bytes."""
         self.rejected += 1
         del self._buffer[: len(SYNC)]
 
     def _aligned(self) -> bool:
-        """Throw away what stands before the next sync bytes; whether a whole head has come."""
+        """Discard bytes before the next sync bytes; True once a whole head has arrived."""
         buffer = self._buffer
         at = buffer.find(SYNC)
         if at < 0:

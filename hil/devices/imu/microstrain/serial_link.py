@@ -1,4 +1,4 @@
-"""The serial port of a MicroStrain sensor: taken, lost, taken again. Never waits for bytes."""
+"""The serial port of a MicroStrain sensor, which can fail and be opened again. Never waits for bytes."""
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ class Link:
         return self._port is not None
 
     def open(self) -> None:
-        """Take the port; raises `DeviceError`."""
+        """Open the port; raises `DeviceError`."""
         try:
             self._open()
         except PORT_ERRORS as error:
             raise self._unusable(error) from None
 
     def reopen(self) -> None:
-        """Take the port again; raises `LinkLostError`."""
+        """Open the port again; raises `LinkLostError`."""
         try:
             self._open()
         except PORT_ERRORS as error:
             raise self._lost(error) from None
 
     def close(self) -> None:
-        """Let go of the port; never raises."""
+        """Close the port; never raises."""
         port, self._port = self._port, None
         let_go(port)
 
     def receive(self) -> bytes:
-        """What has come; raises `LinkLostError`."""
+        """Bytes that have arrived; raises `LinkLostError`."""
         try:
             data: bytes = self._port.read(_CHUNK)
         except PORT_ERRORS as error:
@@ -69,7 +69,7 @@ class Link:
         return data
 
     def send(self, data: bytes) -> None:
-        """Hand bytes to the port; raises `LinkLostError`."""
+        """Write bytes to the port; raises `LinkLostError`."""
         try:
             self._port.write(data)
         except PORT_ERRORS as error:

@@ -14,14 +14,14 @@ _HERE = "hil.devices.thrust.vesc"
 
 
 class VescPropellers(CanModel):
-    """Controllers on one bus; the commands come from the fan daemon, so `emulate` is its own."""
+    """VESCs on one CAN bus, commanded by the fan daemon; so `emulate` adds a daemon."""
 
     kind, name, title = "thrust", "vesc", "propellers on VESCs"
     config, subnet, printed = VescThrustConfig, 166, ("controller_ids",)
     driver, chip = f"{_HERE}.driver:VescThrust", f"{_HERE}.emulated_propellers:PropellerNode"
 
     def emulate(self, request: Any) -> Any:
-        """Controllers on a bus of their own, commanded from their world."""
+        """Controllers on a bus of their own, commanded by a daemon in their world."""
         from hil.devices.adhesion.emulated_daemon import commanded_on_can
         from hil.devices.emulated_can import channel_of
         from hil.devices.thrust.vesc.emulated_propellers import VescThrustTruthOptions, propellers
@@ -33,7 +33,7 @@ class VescPropellers(CanModel):
         return commanded_on_can(request, channel, nodes, subnet=self.subnet, dbc=DBC, printed=self.printed)
 
     def search(self, search: Search) -> Found | None:
-        """Ping the controllers on the CAN buses that were named, or of the system, without the fan's."""
+        """Ping the controllers on the named CAN buses, or on the system's, except the fan's controller."""
         from hil.links.can_bus import detected
 
         fan = VescConfig.model_validate(search.found["adhesion"]) if "adhesion" in search.found else None

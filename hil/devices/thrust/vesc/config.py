@@ -65,12 +65,12 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
         )
 
     def claims(self) -> Iterable[Claim]:
-        """The controllers' and ours."""
+        """The VESC ids of the controllers and of this program."""
         theirs = (Claim("controller_ids", VESC_ID, one) for one in self.controller_ids)
         return (*theirs, Claim("own_id", VESC_ID, self.own_id))
 
     def daemon_spec(self) -> dict[str, Any]:
-        """As of any motor; every controller gets the same command."""
+        """As for any motor; every controller gets the same command."""
         first, *others = self.controller_ids
         return {
             **super().daemon_spec(),

@@ -1,4 +1,4 @@
-"""Propellers behind VESCs on CAN: a force as a speed that their daemon commands, and reports as samples."""
+"""Driver of propellers behind VESCs on CAN: forces to speeds that the daemon commands, reports to samples."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hil.links.vesc import Packet, address, decode
 from hil.links.vesc import Status as Report
 
 _FASTEST = 3.0
-"""Times the full speed: no propeller turns so fast."""
+"""Multiple of the full speed above which a report is implausible."""
 _STUCK_S = 0.5
 _RUNNING = 0.05
 """Share of the full speed."""
@@ -36,7 +36,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
     Args:
         config: bus, controllers, full force.
         clock: the bench clock.
-        make_commander: makes what commands the propellers, of (spec, clock); the daemon's client when None.
+        make_commander: makes the motor commander from (spec, clock); the daemon's client when None.
     """
 
     name = "thrust"
@@ -105,7 +105,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         return self._sample(t_ns, now_ns) if whole else None
 
     def _sample(self, t_ns: int, now_ns: int) -> ThrustSample:
-        """The newest reports of all; `throttle` is the share of full speed that gives the same force."""
+        """Sample of the newest reports; `throttle` is the share of full speed of the same force."""
         full_rpm, status = self._config.full_rpm, Status.OK
         shares = []
         for one, (seen_ns, said) in self._newest.items():
@@ -124,7 +124,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         return ThrustSample(stamp, pushing, full_rpm * sum(shares) / len(shares), status)
 
     def set_force_n(self, force_n: float) -> None:
-        """Ask for a force; raises `UsageError` for one that the propellers do not have; nothing is sent."""
+        """Command a force; for one out of range it raises `UsageError` and sends nothing."""
         commander = self._must_be_open()
         self._config.check_force(force_n, self.name)
         if force_n == 0.0 and commander.status().get("sent") is None:
@@ -132,7 +132,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         commander.set(SetPoint("erpm", self._config.pole_pairs * self._config.speed_for_rpm(force_n)))
 
     def set_duty(self, duty: float) -> None:
-        """Ask for a share of the voltage; raises `UsageError`."""
+        """Command a share of the voltage; raises `UsageError`."""
         commander = self._must_be_open()
         commander.set(self._duty(duty))
 

@@ -19,7 +19,7 @@ PROPELLER_FAULTS: Supported = {kind: opts for kind, opts in FAN_FAULTS.items() i
 
 @dataclass(frozen=True)
 class VescThrustTruthOptions(AdhesionTruthOptions):
-    """As of the fan's VESC.
+    """As for the fan's VESC.
 
     Attributes:
         rated_input_a: battery current of each controller at full speed.

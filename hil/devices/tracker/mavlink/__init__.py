@@ -26,14 +26,14 @@ _LISTEN_S = 0.5
 
 
 class Mavlink(DeviceModel):
-    """It is reached by UDP or at a serial port, as the address in its table says."""
+    """A visual-inertial computer, reached by UDP or at a serial port by the address in its table."""
 
     kind, name, title = "tracker", "mavlink", "visual-inertial computer that sends MAVLink odometry"
     config, probe_order = MavlinkTrackerConfig, 9
     driver, chip = f"{_HERE}.driver:MavlinkTracker", f"{_HERE}.emulated_computer:VisualInertialComputer"
 
     def emulate(self, request: EmulationRequest) -> Any:
-        """A computer of its own, where the table says."""
+        """Emulate the computer at the address of the table."""
         from hil.devices.emulated_device import Wired, on_serial_line
         from hil.devices.tracker.mavlink.emulated_computer import VisualInertialComputer
         from hil.devices.tracker.mavlink.emulated_links import ComputerLink, SerialComputer
@@ -46,15 +46,15 @@ class Mavlink(DeviceModel):
         )
 
     def probe(self, port: str, clock: Clock) -> Found | None:
-        """Whether odometry arrives at a serial port."""
-        return self._heard(MavlinkTrackerConfig(port=port, open_timeout_s=_LISTEN_S), clock)
+        """Listen for odometry at a serial port."""
+        return self._listen(MavlinkTrackerConfig(port=port, open_timeout_s=_LISTEN_S), clock)
 
     def search(self, search: Search) -> Found | None:
-        """Whether odometry arrives where the user says, or at the port of ground stations."""
+        """Listen for odometry at the addresses that the user has named, or at the port of ground stations."""
         named = [c for c in search.given.get("tracker", ()) if isinstance(c, MavlinkTrackerConfig)]
         for config in named or [MavlinkTrackerConfig()]:
             search.say(f"listening for MAVLink odometry at {config.port}")
-            found = self._heard(config.model_copy(update={"open_timeout_s": _LISTEN_S}), search.clock)
+            found = self._listen(config.model_copy(update={"open_timeout_s": _LISTEN_S}), search.clock)
             if found is not None:
                 return found
         return None
@@ -64,8 +64,8 @@ class Mavlink(DeviceModel):
         findings: Iterable[Finding] = watched.device.findings(watched.samples, watched.watch_s)
         return findings
 
-    def _heard(self, config: MavlinkTrackerConfig, clock: Clock) -> Found | None:
-        """The sender; None without pymavlink."""
+    def _listen(self, config: MavlinkTrackerConfig, clock: Clock) -> Found | None:
+        """Listen for odometry; None where there is none, or without pymavlink."""
         if not is_installed("mavlink"):
             return None
         tracker = self.make_driver(config, clock)

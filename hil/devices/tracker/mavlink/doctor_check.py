@@ -27,14 +27,14 @@ def diagnose(
     samples: Sequence[TrackerSample],
     watched_s: float,
 ) -> Iterator[Finding]:
-    """Findings about an open sender.
+    """Findings on a sender with an open session.
 
     Args:
-        session: with it.
+        session: the session with the sender.
         config: of the tracker.
         device: name in the findings.
-        samples: read during `watched_s`; nothing is said about the rate without.
-        watched_s: how long.
+        samples: read during `watched_s`.
+        watched_s: duration of the watch; no finding on the rate when 0.
     """
     yield _sender(session, device)
     yield _time(session, config, device)
@@ -59,7 +59,7 @@ def _sender(session: Session, device: str) -> Finding:
         level,
         f"{names}, {beat}{also}",
         "one sender with heartbeats",
-        "switch its heartbeats on, so that routers and this bench know it",
+        "switch its heartbeats on, so that routers and this bench can identify it",
     )
 
 
@@ -121,7 +121,7 @@ def _frames(message: Any, config: MavlinkTrackerConfig, device: str) -> Finding:
         "warning" if doubtful else "ok",
         f"pose in {frame}, twist in {child}; the quaternion is taken to turn {body} axes",
         "LOCAL_FRD, BODY_FRD",
-        "say in tracker.body_axes (FRD or FLU) what the sender's quaternion turns",
+        "set tracker.body_axes to the axes (FRD or FLU) that the sender's quaternion turns",
     )
 
 

@@ -1,4 +1,4 @@
-"""A visual-inertial computer as a sensor: MAVLink odometry, put on the bench clock, judged.
+"""Driver of a visual-inertial computer: MAVLink odometry on the bench clock, with a status for each pose.
 
 Poses come in robot axes in the z-up frame in which the sender gives them: it starts where the sender's
 does, or has x north (LOCAL_NED) or east (LOCAL_ENU). Velocities are in the axes of that frame.
@@ -49,7 +49,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
     Args:
         config: its address, its system and component, and how its poses are judged.
         clock: the bench clock.
-        link: opens the way to the sender; the configured one by default.
+        link: opens the link to the sender; the configured one by default.
     """
 
     name = "tracker"
@@ -68,14 +68,14 @@ class MavlinkTracker(Sensor[TrackerSample]):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Since `open`: packets malformed, of strangers, lost, unread; floods; poses repeated or late."""
+        """Counts since `open`: packets malformed, of other senders, lost, unread; floods; poses not new."""
         names = ("malformed", "strangers", "lost", "overflowed", "floods")
         session = self._session
         counts = {name: 0 if session is None else getattr(session, name) for name in names}
         return {**counts, "repeated": self._repeated}
 
     def open(self) -> None:
-        """Open the link, find the sender, wait for its first pose, and get acquainted.
+        """Open the link, find the sender, wait for its first pose, and read its identity.
 
         Raises:
             DeviceTimeoutError: no odometry arrives.
@@ -98,18 +98,18 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._stuck.reset(now_ns)
 
     def reopen(self) -> None:
-        """As `open`, after sender or cable were away: poses go on counting, perhaps in another frame."""
+        """As `open`, after an outage: sample numbers go on, perhaps in another frame."""
         self.open()
         self._jumps.distrust()
         self._reset = True
 
     @property
     def port_gone(self) -> bool:
-        """Whether the port itself fails, again and again; a silent network looks like a silent sender."""
+        """Whether the port itself has failed repeatedly; a silent network looks like a silent sender."""
         return self._session is not None and self._session.port_gone
 
     def close(self) -> None:
-        """Let go of the link. Idempotent; never raises."""
+        """Close the link. Idempotent; never raises."""
         self._identity = {}
         if self._session is not None:
             self._session.close()
@@ -145,7 +145,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         return tuple(samples)
 
     def findings(self, samples: Sequence[TrackerSample] = (), watched_s: float = 0.0) -> tuple[Finding, ...]:
-        """What can be said about the sender, the link, and samples read during `watched_s`."""
+        """Findings on the sender, the link, and samples read during `watched_s`."""
         if self._session is None:
             return ()
         return tuple(diagnose(self._session, self._config, self.name, samples, watched_s))
@@ -190,10 +190,10 @@ class MavlinkTracker(Sensor[TrackerSample]):
         )
 
     def _bench_time(self, session: Session, device_ns: int, host_ns: int) -> tuple[int, bool]:
-        """When a pose was measured, and whether its stamp was credible; later than the last one in any case.
+        """Bench time of a pose, and whether its stamp is credible; credible times always rise.
 
-        The round trips count; where the sender answers none, or stamps its poses by another clock, the
-        quickest arrivals do.
+        The offset comes from TIMESYNC round trips; where the sender answers none, or stamps its poses by
+        another clock, from the quickest arrivals.
         """
         t_ns, credible = self._clock_map.map(device_ns, host_ns)
         trip = session.trip()
@@ -208,9 +208,9 @@ class MavlinkTracker(Sensor[TrackerSample]):
         return t_ns, credible
 
     def _note_reset(self, message: Any, device_ns: int | None) -> None:
-        """Believe nothing where the sender says that its estimate was reset, or has started again.
+        """Distrust the next poses where the sender reports a reset of its estimate, or has restarted.
 
-        The first usable pose after it says so.
+        The first usable pose after that has status RESET.
         """
         resets, self._resets = self._resets, message.reset_counter
         reset = resets is not None and resets != message.reset_counter
@@ -227,7 +227,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
     def _judge(
         self, message: Any, t_ns: int, host_ns: int
     ) -> tuple[tuple[float, ...], tuple[float, ...], Status]:
-        """Pose, twist and status, without regard to time."""
+        """Pose, twist and status of a message; its age is not considered."""
         config = self._config
         axes = odometry_messages.axes_of(message.frame_id, message.child_frame_id, config.body_axes)
         if axes is None or config.frame not in (None, odometry_messages.frame_name(message.frame_id)):
@@ -255,7 +255,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         return Status.OK
 
     def _confidence(self, quality: int) -> int:
-        """The sender's percentage as 0 (failed) to 3 (high); unknown is as good as usable."""
+        """The sender's percentage as 0 (failed) to 3 (high); an unknown quality counts as usable (2)."""
         if quality <= odometry_messages.FAILED:
             return 0
         if quality == odometry_messages.UNKNOWN_QUALITY:

@@ -1,7 +1,7 @@
-"""The emulated visual-inertial computer: odometry that errs, heartbeats, answers, on a clock of its own.
+"""The emulated visual-inertial computer: odometry with errors, heartbeats, answers, on a clock of its own.
 
-It is the computer itself, whatever its cable: `emulated_links` carries its packets as datagrams in world
-time, or on a serial line, `emulated_udp` on real UDP. It streams to all that are attached.
+It does not depend on the transport: `emulated_links` carries its packets as datagrams in world time, on a
+serial line or on real UDP. It streams to all attached outlets.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hil.fakes.world import Scheduled, World
 
 @dataclass(frozen=True)
 class ComputerTruthOptions(TrackerTruthOptions):
-    """What one computer does wrong, beside what every tracking camera does.
+    """True imperfections of one computer, beside those of every tracking camera.
 
     Attributes:
         rate_hz: poses per second.
@@ -65,7 +65,7 @@ _FIRMWARE = 1 << 24 | 4 << 16 | 2 << 8
 
 
 class Outlet(Protocol):
-    """One cable to a listener."""
+    """One connection to a receiver."""
 
     @abstractmethod
     def deliver(self, packet: bytes, t_ns: int) -> None:
@@ -76,7 +76,7 @@ _OF_ITS_OWN = ("system_id", "component_id", "frame")
 
 
 class VisualInertialComputer(Scheduled):
-    """A scheduled part of the world.
+    """The computer, a scheduled part of the world.
 
     Args:
         world: truth, seed and faults; the computer registers itself.
@@ -87,7 +87,7 @@ class VisualInertialComputer(Scheduled):
 
     Attributes:
         options: as given.
-        faults: what is wrong with it.
+        faults: its active faults.
 
     Raises:
         ConfigError: pymavlink is missing.
@@ -148,12 +148,12 @@ class VisualInertialComputer(Scheduled):
         return self._world.now_ns
 
     def attach(self, outlet: Outlet) -> None:
-        """Stream to this listener, too."""
+        """Add an outlet to stream to."""
         if outlet not in self._outlets:
             self._outlets.append(outlet)
 
     def detach(self, outlet: Outlet) -> None:
-        """Stream to it no more. Idempotent."""
+        """Stop streaming to an outlet. Idempotent."""
         self._outlets = [other for other in self._outlets if other is not outlet]
 
     def hear(self, packet: bytes, arrives_ns: int, outlet: Outlet) -> None:
@@ -169,7 +169,7 @@ class VisualInertialComputer(Scheduled):
         return due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Answer, beat, expose, and let go what is ready."""
+        """Answer requests, send a heartbeat, expose, and send the messages that are due."""
         if self.faults.restarted(t_ns):
             self._boot(t_ns)
         while self._requests and self._requests[0][0] <= t_ns:
@@ -187,11 +187,11 @@ class VisualInertialComputer(Scheduled):
             self._let_go(message, t_ns, only)
 
     def device_ns(self, t_ns: int) -> int:
-        """The computer's own clock at a world time, ns since it booted (or what it takes for that)."""
+        """The computer's own clock at a world time: its uptime in ns, random at the beginning."""
         return self._up_ns + round((t_ns - self._zero_ns) / self._stretch)
 
     def _boot(self, t_ns: int) -> None:
-        """Begin anew: odometry, reset count and, but for the first time, clock."""
+        """Restart odometry and reset count and, except at the first boot, the clock."""
         if t_ns > 0:
             self._up_ns = 0
         self.odometry.restart()
@@ -243,14 +243,14 @@ class VisualInertialComputer(Scheduled):
             self._resets = (self._resets + announced) % 256
 
     def _sigmas(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """What it believes to know: noise, and what the walk has come to since it began."""
+        """Standard deviations that it reports: noise, and the random walk since its start."""
         options = self.options
         walked_m = options.position_walk_m_sqrt_m * math.sqrt(self._travelled_m)
         pose = math.hypot(options.position_noise_m, walked_m), options.angle_noise_rad
         return pose, (options.velocity_noise_m_s, options.rate_noise_rad_s)
 
     def _quality(self, body: BodyMotion, t_ns: int) -> int:
-        """Low while the map is young and after fast motion."""
+        """Quality in percent: low for some time after the start and after fast motion."""
         vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self.options
         if abs(omega) > options.fast_rad_s or math.hypot(vx, vy) > options.fast_m_s:
@@ -287,7 +287,7 @@ class VisualInertialComputer(Scheduled):
         )
 
     def _plan(self, message: Any, ready_ns: int, outlet: Outlet | None = None) -> None:
-        """Have a message leave at `ready_ns`, by one outlet or by all."""
+        """Queue a message that leaves at `ready_ns`, by one outlet or by all."""
         heapq.heappush(self._leaving, (ready_ns, next(self._order), message, outlet))
 
     def _let_go(self, message: Any, t_ns: int, only: Outlet | None) -> None:

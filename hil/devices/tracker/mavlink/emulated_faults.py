@@ -34,7 +34,7 @@ _LATEST_US = 1 << 62
 
 
 class ComputerFaults(DeviceFaults):
-    """What is wrong with computer and network.
+    """The active faults of computer and network.
 
     Options: `wrong,scale=` on every step, `wrong,quality=` in percent or `wrong,frame=` with a number of
     MAV_FRAME; `jump,distance_m=` once, with `announced=0` without a new reset count; `slow,factor=`;
@@ -49,14 +49,14 @@ class ComputerFaults(DeviceFaults):
         plan.declare(name, SUPPORTED_FAULTS)
 
     def silent(self, t_ns: int) -> bool:
-        """Whether it says nothing now."""
+        """Whether the computer sends nothing now."""
         if self.find("off", t_ns) is not None:
             return True
         fault = self.find("intermittent", t_ns)
         return fault is not None and fault.interrupts(t_ns)
 
     def cut_off(self, t_ns: int) -> bool:
-        """Whether nothing gets in or out."""
+        """Whether no packet gets in or out: the cable is unplugged."""
         return self.find("unplug", t_ns) is not None
 
     def jump(self, t_ns: int) -> tuple[float, bool]:
@@ -71,11 +71,11 @@ class ComputerFaults(DeviceFaults):
         return seen_scale(self.find("wrong", t_ns))
 
     def drift_m(self, t_ns: int, dt_s: float) -> tuple[float, float]:
-        """Way in the wall's axes that is seen in a step and was not gone."""
+        """False displacement (m, wall axes) that the odometry adds in a step."""
         return seen_drift_m(self.find("wrong", t_ns), dt_s)
 
     def distort(self, estimate: Estimate, t_ns: int) -> Estimate:
-        """The estimate as the computer takes it to be."""
+        """The estimate with the active faults applied."""
         if self.find("stuck", t_ns) is None:
             self._frozen = None
         else:
@@ -93,7 +93,7 @@ class ComputerFaults(DeviceFaults):
         return estimate if garbage is None else self._garbage(estimate, garbage)
 
     def spoil(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
-        """A datagram as it arrives: not at all, damaged, once or twice."""
+        """The datagrams that arrive for one that is sent: none, one or two, perhaps damaged."""
         if self.none:
             return (packet,)
         if self.cut_off(t_ns) or self._hit("drop", t_ns):
@@ -101,7 +101,7 @@ class ComputerFaults(DeviceFaults):
         return self.damaged(packet, t_ns)
 
     def scramble(self, packet: bytes, t_ns: int) -> bytes:
-        """A packet as the computer sends it: random bytes where it has gone mad."""
+        """A packet as the computer sends it: random bytes under `garbage,packets=1`."""
         garbage = self.find("garbage", t_ns)
         if garbage is None or not garbage.option("packets", 0.0):
             return packet

@@ -1,7 +1,7 @@
-"""How the emulated computer is reached: in world time on a serial line or by datagrams; in real time by UDP.
+"""Transports of the emulated computer: in world time a serial line or datagrams, in real time UDP.
 
-On real UDP it serves any MAVLink program. It streams to a fixed address, as a computer does that knows its
-ground station, and to every program that has spoken to it in the last seconds.
+On real UDP it serves any MAVLink program. It streams to a fixed address, like a computer with a configured
+ground station, and to every program that has sent to it in the last 5 s.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class _Client(Outlet):
         self._transport, self.address, self.heard_ns = transport, address, heard_ns
 
     def deliver(self, packet: bytes, t_ns: int) -> None:
-        """Send a packet, unless the listener has long been silent."""
+        """Send a packet, unless the client has been silent for 5 s."""
         self._transport.send(packet, self, t_ns)
 
 
@@ -42,8 +42,8 @@ class MavlinkTransport(DatagramTransport):
 
     Args:
         computer: the emulated computer.
-        host, port: where it can be spoken to; port 0 takes a free one.
-        target: where it streams unasked.
+        host, port: address at which it receives; port 0 takes a free one.
+        target: address that it streams to without a request.
 
     Raises:
         DeviceError: the port cannot be used.
@@ -73,7 +73,7 @@ class MavlinkTransport(DatagramTransport):
             self._client(target, NEVER_NS)
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one datagram; its sender is a listener from now on."""
+        """Take one datagram; its sender gets the stream from now on."""
         taken = self.receive(_LARGEST)
         if taken is None:
             return
@@ -117,7 +117,7 @@ class MavlinkTransport(DatagramTransport):
 class SerialComputer(SerialChip, Outlet):
     """One computer at the far end of a serial line; its cable's faults are the line's.
 
-    It begins to send when it has heard something: before that the line has no rate.
+    It begins to send once it has received something: before that the line has no baud rate.
 
     Args:
         computer: the emulated computer.
@@ -130,39 +130,39 @@ class SerialComputer(SerialChip, Outlet):
             kind: options for kind, options in SUPPORTED_FAULTS.items() if kind not in _OF_THE_LINE
         }
         self._computer, self._baud = computer, baud
-        self._in_tune = True
+        self._baud_matches = True
         self._leaving: list[Reply] = []
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Bytes from the other end; at another rate they are noise."""
-        self._in_tune = baud == self._baud
+        """Take bytes from the other end; at another baud rate they are noise."""
+        self._baud_matches = baud == self._baud
         self._computer.attach(self)
-        if self._in_tune:
+        if self._baud_matches:
             self._computer.hear(data, t_ns, self)
         return []
 
     def reset(self, t_ns: int) -> None:
-        """The line has no power to switch: the computer has its own."""
+        """Do nothing: the computer is not powered by the line."""
 
     def deliver(self, packet: bytes, t_ns: int) -> None:
         """Put a packet on the line."""
-        data = packet if self._in_tune else bytes(byte ^ _NOISE for byte in packet)
+        data = packet if self._baud_matches else bytes(byte ^ _NOISE for byte in packet)
         self._leaving.append(Reply(t_ns, data))
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """What has left the computer."""
+        """Packets that the computer has sent since the last call."""
         leaving, self._leaving = self._leaving, []
         return leaving
 
     def next_poll_ns(self) -> int:
-        """At once, while something waits."""
+        """Time of the oldest packet that waits; `NEVER_NS` for none."""
         return self._leaving[0].ready_ns if self._leaving else NEVER_NS
 
 
 class WorldLink(Link, Outlet):
-    """A cable with datagrams; both ways take the computer's `network_s`.
+    """A link by datagrams in memory; each way takes the computer's `network_s`.
 
-    Its shape is that of the links to real senders: `MavlinkTracker(..., link=ComputerLink(computer))`.
+    It has the interface of a link to a real sender: `MavlinkTracker(..., link=ComputerLink(computer))`.
     """
 
     datagrams = True
@@ -187,7 +187,7 @@ class WorldLink(Link, Outlet):
         return coming.popleft() if coming and coming[0].arrived_ns <= self._computer.now_ns else None
 
     def close(self) -> None:
-        """Pull the cable."""
+        """Detach from the computer."""
         self._computer.detach(self)
 
     def deliver(self, packet: bytes, t_ns: int) -> None:
@@ -201,11 +201,11 @@ class WorldLink(Link, Outlet):
 
 
 class ComputerLink:
-    """Opens links to one computer, as the driver asks for them."""
+    """Factory of links to one computer, for the driver."""
 
     def __init__(self, computer: VisualInertialComputer) -> None:
         self._computer = computer
 
     def __call__(self, config: MavlinkTrackerConfig, clock: Clock, device: str) -> Link:
-        """Make a new cable between driver and emulated computer."""
+        """Make a new link between driver and emulated computer."""
         return WorldLink(self._computer)

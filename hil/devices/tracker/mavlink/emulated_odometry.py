@@ -1,7 +1,7 @@
-"""What the emulated computer believes, and how it writes that down as an `ODOMETRY` message.
+"""The estimate of the emulated computer, and its encoding as an `ODOMETRY` message.
 
-Its estimate is kept in robot axes in a levelled world; the message is in front-right-down or front-left-up
-axes, by the frames that it is set to.
+The estimate is kept in robot axes in a levelled world; the message is in front-right-down or front-left-up
+axes, depending on the configured frames.
 """
 
 from __future__ import annotations

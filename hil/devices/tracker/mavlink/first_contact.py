@@ -19,10 +19,10 @@ _EXPECTED = "a stream of MAVLink ODOMETRY (331) or VISION_POSITION_ESTIMATE (102
 def await_sender(
     session: Session, config: MavlinkTrackerConfig, clock: Clock, common: Any, device: str
 ) -> dict[str, str]:
-    """Wait for odometry, then a little for heartbeat, version and the time of the sender.
+    """Wait for odometry, then up to 1.2 s for heartbeat, version and clock of the sender.
 
     Returns:
-        Who it is.
+        The identity of the sender.
 
     Raises:
         DeviceTimeoutError: no odometry arrives in time.
@@ -47,7 +47,7 @@ def await_sender(
 
 
 def silent(session: Session, config: MavlinkTrackerConfig, device: str, what: str) -> DeviceTimeoutError:
-    """The error for poses that stay away."""
+    """The error for missing poses, with `what` as its beginning."""
     reported = [f"{session.malformed} damaged pieces"] if session.malformed else []
     reported += [f"{session.lost} packets lost"] if session.lost else []
     reported += [session.trouble] if session.trouble else []

@@ -1,8 +1,8 @@
-"""What MAVLink `ODOMETRY` (331) means here: frames, quality, covariance, and the parser of its packets.
+"""Meaning of MAVLink `ODOMETRY` (331): frames, quality, covariance; and the parser of its packets.
 
 Pose: `frame_id` names the frame, `q` turns the axes of the camera's body into it. Twist: given in
 `child_frame_id`, both velocity and rates. Covariances: upper triangles by rows, of (x, y, z, roll, pitch,
-yaw) in the same two frames; a NaN in the first place says unknown. (MAVLink common.xml, message 331 and
+yaw) in the same two frames; a NaN in the first place means unknown. (MAVLink common.xml, message 331 and
 enum MAV_FRAME.) Where a frame's z points down, a half turn about x makes it the z-up frame of the robot's
 axes: x forward, y left, z up.
 """
@@ -34,7 +34,7 @@ FRAMES = {
 UPWARD = ("LOCAL_ENU", "LOCAL_FLU", "BODY_FLU")
 """Frames whose z points up, and y to the left of x."""
 POSES = ("ODOMETRY", "VISION_POSITION_ESTIMATE")
-"""Messages that tell of a pose."""
+"""Messages that carry a pose."""
 FAILED, UNKNOWN_QUALITY = -1, 0
 UNKNOWN = math.nan
 
@@ -105,10 +105,10 @@ def pose_of(message: Any, axes: Axes) -> tuple[float, ...]:
 
 
 def odometry_of(estimate: Any, common: Any) -> Any:
-    """The `ODOMETRY` that says what a `VISION_POSITION_ESTIMATE` (102) says.
+    """Convert a `VISION_POSITION_ESTIMATE` (102) to `ODOMETRY`.
 
-    Its pose is in LOCAL_NED and its angles turn BODY_FRD, roll last (MAVLink common.xml); twist and quality
-    are unknown, and so is a covariance that is left out: then all of it is 0.
+    Its pose is in LOCAL_NED and its angles turn BODY_FRD, roll last (MAVLink common.xml). Twist and quality
+    are unknown. A covariance of zeros has been left out by the sender, and is unknown too.
     """
     (sr, cr), (sp, cp), (sy, cy) = (
         (math.sin(0.5 * angle), math.cos(0.5 * angle))
@@ -177,11 +177,11 @@ def _turned(upper: Sequence[float], turn: Array) -> Array | None:
 
 
 class Parser:
-    """Cuts bytes into MAVLink messages; what is none becomes a message of type `BAD_DATA`.
+    """Splits bytes into MAVLink messages; other bytes become messages of type `BAD_DATA`.
 
     Args:
         common: the dialect.
-        datagrams: a datagram holds whole packets: what is left of a damaged one is not glued to the next.
+        datagrams: whether each call gets whole packets: the rest of a damaged one is not joined to the next.
     """
 
     def __init__(self, common: Any, *, datagrams: bool) -> None:

@@ -1,10 +1,9 @@
 """One MAVLink session with the odometry source: identity, messages, heartbeats, clock.
 
 The sender's clock is mapped to the bench clock by TIMESYNC (111) round trips. A request carries the bench
-time; the answer carries it back with the sender's own. Half way between leaving and arrival the sender read
-its clock, if both ways take equally long: what one way takes longer than the other is an error of half
-that, which no round trip can show. The shortest trip of the last seconds counts, because waiting only ever
-adds.
+time; the answer returns it with the sender's own. The sender is taken to read its clock half way between
+request and answer. A difference between the two one-way delays makes an error of half that difference, which
+no round trip can show. The shortest trip of the last 5 s counts, because queueing only ever adds delay.
 """
 
 from __future__ import annotations
@@ -27,19 +26,19 @@ _DRIFT, _SLACK_NS = 500e-6, 1_000_000
 _OPEN_REQUESTS = 16
 _LOG = logging.getLogger(__name__)
 SYSTEM, COMPONENT = 255, 190
-"""Ids of this host: those that ground stations go by, whom every sender answers."""
+"""Ids of this host: the usual ones of ground stations, which every sender answers."""
 _HEARTBEAT_NS = NS_PER_S
 _MOST_SENDERS = 64
 _ASK_AGAIN_NS, _ASKS = NS_PER_S // 2, 3
 _LARGEST = 2048
 _MOST_WASTED, _LEAST_WASTED = 16_384, 64
-"""Bytes of datagrams without a word of the sender: what one exchange looks at; what each counts at least."""
+"""Bytes of datagrams not from the sender: the most that one exchange reads; the least that each counts."""
 Source: TypeAlias = tuple[int, int]
 """System and component id."""
 
 
 class Trip(NamedTuple):
-    """One round trip: when it ended, how long it took, and bench clock less sender's clock by it."""
+    """One round trip: its end, its duration, and its clock offset (bench clock minus sender's clock)."""
 
     arrived_ns: int
     duration_ns: int
@@ -47,7 +46,7 @@ class Trip(NamedTuple):
 
 
 class TimeSync:
-    """Round trips with one sender.
+    """Clock offset of one sender from round trips.
 
     Attributes:
         trips: answers taken since `reset`.
@@ -58,7 +57,7 @@ class TimeSync:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen before."""
+        """Forget all round trips."""
         self._asked: deque[int] = deque(maxlen=_OPEN_REQUESTS)
         self._window: deque[Trip] = deque()
         self._best: Trip | None = None
@@ -66,7 +65,7 @@ class TimeSync:
         self.trips = self.steps = 0
 
     def due(self, now_ns: int) -> bool:
-        """Whether to ask now; counts as asked at `now_ns`."""
+        """Whether a request is due; if so, it is recorded as sent at `now_ns`."""
         if now_ns < self._next_ns:
             return False
         self._next_ns = now_ns + (_QUICK_NS if self.trips < _QUICK_TRIPS else _STEADY_NS)
@@ -74,7 +73,7 @@ class TimeSync:
         return True
 
     def answered(self, asked_ns: int, device_ns: int, arrived_ns: int) -> bool:
-        """Take an answer; False for one that was not asked for, or that took too long to be of use."""
+        """Take an answer; False for one to no open request, or one that took too long to be of use."""
         if asked_ns not in self._asked:
             return False
         self._asked.remove(asked_ns)
@@ -93,7 +92,7 @@ class TimeSync:
         return True
 
     def best(self, now_ns: int) -> Trip | None:
-        """The trip that counts; None when none has been answered for long."""
+        """The shortest recent round trip; None when none has been answered for 10 s."""
         if self._window and now_ns - self._window[-1].arrived_ns > _FORGET_NS:
             self._window.clear()
             self._best = None
@@ -101,7 +100,7 @@ class TimeSync:
 
     @staticmethod
     def _contradicts(known: Trip, new: Trip) -> bool:
-        """Whether no drifting clock can have given both: each is right within half its duration."""
+        """Whether two trips differ by more than clock drift and half their durations can explain."""
         drift_ns = _DRIFT * (new.arrived_ns - known.arrived_ns)
         possible_ns = (known.duration_ns + new.duration_ns) / 2 + drift_ns + _SLACK_NS
         return abs(new.offset_ns - known.offset_ns) > possible_ns
@@ -115,7 +114,7 @@ class Received(NamedTuple):
 
 
 class Session:
-    """Takes what arrives on a link apart.
+    """Parses what arrives on a link, and sends what is due.
 
     Args:
         link: open; closed with the session.
@@ -125,16 +124,16 @@ class Session:
 
     Attributes:
         odometry: messages that have not been taken, the oldest first.
-        last: the newest of all; None until there is one.
+        last: the newest odometry message; None before the first.
         source: the sender; None until one has sent odometry.
-        heard: types of message by system and component, to name other senders.
+        heard: types of messages received, by system and component, to name other senders.
         heartbeat, version: the sender's last HEARTBEAT and AUTOPILOT_VERSION.
-        sync: its clock.
-        packets: arrivals, whatever they held.
+        sync: clock offset of the sender.
+        packets: arrivals of any content.
         malformed: pieces that are no MAVLink packet, or whose checksum is wrong; datagrams that are too long.
-        strangers: messages from others.
+        strangers: messages from other senders.
         lost: gaps in the sender's packet numbers.
-        floods: exchanges that met more datagrams of no use than they look at; the rest waits.
+        floods: exchanges that stopped reading after too many datagrams of no use; the rest waits.
         other_clock: poses in a row whose stamps are not of the clock that answers TIMESYNC.
     """
 
@@ -168,11 +167,11 @@ class Session:
 
     @property
     def port_gone(self) -> bool:
-        """Whether the link has failed for so long that waiting is in vain."""
+        """Whether the link has failed for so long that it must be opened again."""
         return self._link.gone
 
     def exchange(self) -> None:
-        """Take what has arrived and say what is due; never waits. Any program may send datagrams."""
+        """Read a bounded amount, as any program may send datagrams, and send what is due; never waits."""
         wasted = 0
         while wasted < _MOST_WASTED and (arrival := self._link.receive()) is not None:
             self.packets += 1
@@ -187,11 +186,11 @@ class Session:
         self._speak()
 
     def trip(self) -> Trip | None:
-        """The round trip by which the sender's clock is known now."""
+        """The round trip that gives the sender's clock offset now; None for none."""
         return self.sync.best(self._clock.now_ns())
 
     def close(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
         self._link.close()
 
     def _is_of_use(self, arrival: Arrival) -> bool:

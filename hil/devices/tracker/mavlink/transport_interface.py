@@ -21,13 +21,13 @@ class Arrival(NamedTuple):
 
 
 class Link(Protocol):
-    """A way to the sender, open.
+    """An open link to the sender.
 
     Attributes:
-        datagrams: whether what arrives at once belongs together.
+        datagrams: whether each arrival is a whole datagram.
         peer: address of the other side before it has sent anything; None where that is not known.
         trouble: why nothing can arrive any more; empty while all is well.
-        gone: whether that has lasted for so long that only opening it again helps.
+        gone: whether the trouble has lasted for so long that the link must be opened again.
         overflowed: arrivals lost because they were not taken in time.
     """
 
@@ -47,7 +47,7 @@ class Link(Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go. Idempotent; never raises."""
+        """Close the link. Idempotent; never raises."""
 
 
 LinkFactory: TypeAlias = Callable[[MavlinkTrackerConfig, Clock, str], Link]

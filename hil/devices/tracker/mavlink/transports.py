@@ -83,7 +83,7 @@ def _remedy(error: OSError, port: int) -> str:
 
 
 class SerialLink(Link):
-    """A serial port, emptied every millisecond beside the caller's work, so that arrivals have a time."""
+    """A serial port, polled every millisecond in the background, so that arrivals have a time."""
 
     datagrams = False
 
@@ -104,11 +104,11 @@ class SerialLink(Link):
 
     @property
     def gone(self) -> bool:  # type: ignore[override]
-        """Whether the port has failed at every look for a while."""
+        """Whether the last 20 polls of the port have failed."""
         return self._failures >= _GONE_AFTER
 
     def send(self, data: bytes, address: Address) -> None:
-        """Hand bytes to the port."""
+        """Write bytes to the port."""
         with contextlib.suppress(*PORT_ERRORS):
             self._port.write(data)
 
@@ -117,7 +117,7 @@ class SerialLink(Link):
         return self._arrived.popleft() if self._arrived else None
 
     def close(self) -> None:
-        """Stop looking and close the port."""
+        """Stop polling and close the port."""
         self._end()
         with contextlib.suppress(*PORT_ERRORS):
             self._port.close()
