@@ -39,7 +39,7 @@ LOG = logging.getLogger(__name__)
 
 _SETTLE_S = 0.5
 _REST_SAMPLES, _STANDS = 50, 2e-5
-"""Motion-capture samples per rest, and the largest remaining motion (m, rad) of a robot at rest."""
+"""Motion-capture samples per rest; sigma (m, rad) of the residual motion of a robot at rest."""
 _FRAME_MOVED_M = 0.005
 """Beyond this displacement of its frame, motion capture gives no start pose."""
 _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", "slip_m_s", "fallen")
