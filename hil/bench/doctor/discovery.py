@@ -2,7 +2,8 @@
 
 Serial ports are named by their USB serial number if the system has such links. Each port is probed for every
 serial model of the registry, those that answer quickly first. Ports of devices that may hold the robot are
-not probed (`ports_not_asked`). The requests that are written to the other ports can be listed before.
+not probed (`hil.bench.doctor.protected_ports`). The requests that are
+written to the other ports can be listed before.
 """
 
 from __future__ import annotations
