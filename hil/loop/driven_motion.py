@@ -15,9 +15,8 @@ from hil.core.signals import CycleRecord, Event
 LONGEST_GAP_S = 0.25
 """Longest gap between samples of motion capture that is interpolated.
 
-Healthy capture systems lose the body for up to 0.2 s. Linear interpolation across 0.25 s is off by at most
-1.6 mm
-for followed references (0.2 m/s^2).
+Healthy capture systems lose the body for up to 0.2 s. Linear interpolation across 0.25 s is off by at
+most 1.6 mm for followed references (0.2 m/s^2).
 """
 HELD_S = 0.1
 """How long the last sample is used, s: a frame in transit, a cycle, and a common gap (0.08 s) before it."""

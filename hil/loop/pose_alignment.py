@@ -20,7 +20,7 @@ _OK, _RESET = Status.OK, Status.RESET
 _USABLE = (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
 
 # A camera (15,): position and attitude on the body, scale of its distances, position at the start, and
-# # conjugated attitude at the start.
+# conjugated attitude at the start.
 _PLACE, _TURN, _SCALE, _START, _BACK = 0, 3, 7, 8, 11
 
 
@@ -81,8 +81,8 @@ class PoseAlignment:
     def _tracker(self, sample: TrackerSample) -> PoseMeasurement | None:
         """Body pose in the frame of the first good pose; None without a usable pose.
 
-        A restarted camera has a new frame; on a wall this may be rotated about the vertical by any angle. The
-        new frame begins with the next good pose; the restart itself gives a pose that is not valid.
+        A restarted camera has a new frame; if it points up a wall, this is rotated about the vertical by any
+        angle. The new frame begins with the next good pose; the restart itself gives an invalid pose.
         """
         status = sample.status
         if status is _RESET:

@@ -50,7 +50,7 @@ class Checks:
         needs_camera: whether the estimate in the loop uses the camera: the robot stops if that is in doubt or
             silent.
         steering: external encoders against the servos; None without this check.
-        stops_by_steering: whether a slipped encoder stops the robot: if a pose is followed.
+        stops_by_steering: whether a slipped horn stops the robot: if a pose is followed.
         estimated: devices whose measurements the estimators use.
         holders: devices that keep the robot on its surface: noun by kind.
         healthy: expected rate and delay of the samples, by sensor.
