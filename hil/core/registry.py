@@ -83,7 +83,7 @@ def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> Non
     for name in (kind.name, *kind.aliases):
         if name in taken:
             raise ConfigError(
-                f"device package {origin}: the kind {name} is there already ({taken[name].package})",
+                f"device package {origin}: the kind {name} exists already ({taken[name].package})",
                 remedy=after_clash(taken[name].package, "kind"),
             )
     if kind.moves_robot and not kind.holds_robot:
@@ -129,7 +129,7 @@ def add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> 
     kind = found.get(model.kind)
     if kind is None:
         raise ConfigError(
-            f"device package {origin}: model {model.name} is of the kind {model.kind}, which there is not",
+            f"device package {origin}: model {model.name} is of the kind {model.kind}, which does not exist",
             expected="one of " + ", ".join(found),
             remedy=did_you_mean(model.kind, found),
         )

@@ -50,7 +50,7 @@ def says_what_it_is(subject: Subject) -> str:
             raise Broken(f"identity {dict(identity)}", "text by text: model, firmware, port", _DRIVER)
         device.close()
         if device.identity():
-            raise Broken("says what it is while closed", "nothing", _DRIVER)
+            raise Broken("has an identity while closed", "nothing", _DRIVER)
     return ", ".join(f"{key} {value}" for key, value in identity.items())
 
 

@@ -137,11 +137,11 @@ def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
     late, other = ("servos", "encoders") if servos_ms > encoders_ms else ("encoders", "servos")
     return Finding(
         late if not right else "servos",
-        "servos and encoders tell of one turn",
+        "servos and encoders agree",
         "ok" if right else "failure",
         f"servos {servos_ms:.1f} ms, encoders {encoders_ms:.1f} ms after the command",
         f"at most {1e3 * _APART_S:g} ms apart",
-        "" if right else f"the {late} tell it later than the {other}: look for what holds their answers up",
+        "" if right else f"the {late} report it later than the {other}: look for the cause of their delay",
     )
 
 

@@ -29,7 +29,7 @@ def sees_no_motion(subject: Subject) -> str:
     message = f"{1e3 * speed_m_s:.2g} mm/s"
     if speed_m_s > MOST_M_S:
         raise Broken(
-            f"the robot moves at {message} by what it says",
+            f"the reported position moves at {message}",
             f"at most {1e3 * MOST_M_S:g} mm/s while it stands",
             "have the robot stand still; clean the lenses, light the scene, look at markers and rigid body",
         )

@@ -113,7 +113,7 @@ def _finding(config: BenchConfig, one: NoiseFigure, words: str, spread: Spread) 
         level,
         found,
         f"{expected} ({part.measured[:10]})",
-        "look at what shakes or dazzles it; if it stays, measure it anew: hil run sensor_noise",
+        "look at what shakes or dazzles it; if it stays, measure it again: hil run sensor_noise",
     )
 
 

@@ -338,7 +338,7 @@ class AdhesionWatch(Check):
         if not math.isfinite(power_n):
             message += "; its current is not reported"
         elif abs(power_n - self._speed_n) < abs(power_n - self._cells_n):
-            message += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
+            message += f", its power {power_n:.1f} N: the cells are wrong, or air leaks under the robot"
         else:
             message += f", its power {power_n:.1f} N: the reported speed is wrong"
         stop("adhesion_disagree", f"{message}; `hil run adhesion_check` at rest")

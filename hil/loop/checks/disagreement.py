@@ -161,7 +161,7 @@ class Sum:
         if self.names != (CAMERA.name, WHEELS.name):
             return "one of them is wrong" + (", or the wheels slip" if "servos" in self.names else "")
         if abs(self._second) < _LITTLE * abs(self._first):
-            return "the robot slides, or the camera invents motion"
+            return "the robot slides, or the camera reports false motion"
         if abs(self._first) < abs(self._second):
             return "the camera is frozen or sees another scale, or the wheels slip"
         return "the camera sees another scale, or the robot slides"

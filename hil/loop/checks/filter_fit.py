@@ -52,8 +52,8 @@ class FilterFit(Check):
     """Checks the estimate of one run."""
 
     def __init__(self) -> None:
-        self._wheels = _Refusals("wheels", "servos", "what camera and IMU tell")
-        self._camera = _Refusals("tracker", "tracker", "what servos and IMU tell")
+        self._wheels = _Refusals("wheels", "servos", "camera and IMU")
+        self._camera = _Refusals("tracker", "tracker", "servos and IMU")
         self.reset()
 
     def reset(self) -> None:

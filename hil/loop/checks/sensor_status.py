@@ -16,9 +16,9 @@ _OK = Status.OK
 _FORGOTTEN_NS = 1_000_000_000
 _MESSAGES = {
     Status.FROZEN: "repeats the same values to the last bit: frozen; not used",
-    Status.IMPLAUSIBLE: "sends values that cannot be; not used",
-    Status.NOT_FINITE: "sends values that are no numbers; not used",
-    Status.JUMP: "has jumped; not used until it goes on steadily",
+    Status.IMPLAUSIBLE: "sends impossible values; not used",
+    Status.NOT_FINITE: "sends NaN or infinity; not used",
+    Status.JUMP: "has jumped; not used until it is steady",
     Status.RESET: "has started again",
     Status.HARDWARE_ERROR: "reports a hardware error; not used",
     Status.MAGNET: "reports a magnet that is too near or too far",

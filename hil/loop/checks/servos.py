@@ -23,7 +23,7 @@ _ALL_OK = (Status.OK,) * 8
 _REMEDIES = {
     Status.HARDWARE_ERROR: "remove the cause, then reboot it",
     Status.RESET: "it has restarted: check its supply",
-    Status.CRC: "what it sends arrives damaged: check cable, ground and baud rate",
+    Status.CRC: "its packets arrive damaged: check cable, ground and baud rate",
     Status.PROTOCOL: "check that no two servos have the same ID",
     Status.TIMEOUT: "check its cable, its supply and its ID",
 }
@@ -109,7 +109,7 @@ class ServoCheck(Check):
         if not missed or (len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}):
             return (
                 "none of the eight answers in time; check the servos' supply, the bus cable, the adapter and "
-                "the baud rate; one that answers late holds up all (a look after the stop names it)"
+                "the baud rate; one late servo delays all (the check after the stop names it)"
             )
         found = ", ".join(f"{self._names[j]}: {status.value}" for j, status in missed.items())
         known = [remedy for status, remedy in _REMEDIES.items() if status in kinds]
@@ -141,7 +141,7 @@ class ServoCheck(Check):
             for i, since_ns in enumerate(self._asked_since_ns)
             if since_ns is not None and t_ns - since_ns > longer_than_ns
         ]
-        return f"{', '.join(found)}: blocked, or its servo repeats itself" if found else ""
+        return f"{', '.join(found)}: blocked, or its servo repeats old values" if found else ""
 
     def _check_steps(
         self, sample: ServoSample, angles: list[float], outside: list[float], events: list[Event]

@@ -84,7 +84,7 @@ def _unusable(state: RobotState, now_ns: int | None) -> tuple[str, str, str] | N
     variances: list[float] = state.covariance.diagonal().tolist()
     if not math.isfinite(sum(variances)):
         message = (
-            f"the estimate does not say how sure it is: its variance of {_named(variances, math.isfinite)} "
+            f"the estimate has no usable covariance: its variance of {_named(variances, math.isfinite)} "
             "is not finite"
         )
         return "not_finite", message, _REMEDY

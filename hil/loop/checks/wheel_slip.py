@@ -154,7 +154,7 @@ class WheelSlipCheck(Check):
         share = f" ({100.0 * rolled_mm / said_mm:.0f} %)" if abs(said_mm) > 1.0 else ""
         said = (
             f"{self._names[worst]} rolled {rolled_mm:.1f} mm in {_WINDOW_NS / NS_PER_S:.1f} s and the other "
-            f"three say {said_mm:.1f} mm{share}: it slips or its servo lies, look at its hub and horn; the "
+            f"three say {said_mm:.1f} mm{share}: it slips or its servo is wrong, check hub and horn; the "
             f"estimate is unsure by {1e3 * _AT_ONCE_M:.0f} mm and {100.0 * _WAY_SHARE:.0f} % of the way more"
         )
         events.append(Event(t_ns, "warning", "servos", said))
