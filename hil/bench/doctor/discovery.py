@@ -38,7 +38,7 @@ class Discovery:
         parts: by kind, components of the devices (each servo of a bus).
         notes: remarks for the user.
         missing: by kind that did not answer, the places that were searched.
-        silent: named ports at which nothing answered.
+        silent: ports that the user named, at which nothing answered.
         not_asked: ports to which nothing was written, and why.
     """
 

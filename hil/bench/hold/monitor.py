@@ -100,7 +100,7 @@ class LookTime:
         self._momentary = t_ns - since_ns < WINDOW_NS
 
     def is_up(self, now_ns: int) -> bool:
-        """Whether the look ends without the robot being held; asked once after each `saw`."""
+        """Whether the check ends without HELD; counts late samples, so call it once after each `saw`."""
         if now_ns < self._end_ns:
             return False
         self._late_looks += not self._waits

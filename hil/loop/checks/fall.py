@@ -12,7 +12,7 @@ from hil.loop.cycle_data import Check, Cycle
 _OK = Status.OK
 _SAMPLES = 3
 _SEEN_BY = {"adhesion": "imu", "sliding": "tracker"}
-"""The kind whose samples show each reason: detached (`adhesion`) or sliding."""
+"""The kind whose samples show that the robot has detached (`adhesion`), or slides."""
 
 
 def look_at(holders: Mapping[str, str], begin: str) -> str:
