@@ -1,8 +1,8 @@
-"""A bench ready to use: configuration, devices, clock and loop put together.
+"""A bench ready to use: configuration, devices, clock and loop combined.
 
-Only it and `hil.devices` import drivers and fakes: what others need of them they have from here.
-`with open_bench("emulated") as bench:` gives a script the same devices, clock and loop as the command
-line and the procedures have.
+Only this package and `hil.devices` import drivers and fakes; other packages use them through this one. `with
+open_bench("emulated") as bench:` gives a script the same devices, clock and loop as the command line and the
+procedures.
 """
 
 from hil.bench.bench import Bench

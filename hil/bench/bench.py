@@ -1,4 +1,4 @@
-"""Class `Bench`: the loop over devices that are opened and closed together, and the motions asked of it."""
+"""Class `Bench`: opens and closes all devices together, and runs motions in the control loop."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ LOG = logging.getLogger(__name__)
 
 _SETTLE_S = 0.5
 _REST_SAMPLES, _STANDS = 50, 2e-5
-"""Samples of motion capture in a rest, and by how much, m and rad, a robot that stands may still give way."""
+"""Motion-capture samples per rest; sigma (m, rad) of the residual motion of a robot at rest."""
 _FRAME_MOVED_M = 0.005
-"""Motion capture whose frame has moved further does not tell where the robot stands."""
+"""Beyond this displacement of its frame, motion capture gives no start pose."""
 _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", "slip_m_s", "fallen")
-"""Of an emulated robot's truth, what its recordings keep (`PlantState`)."""
+"""Fields of an emulated robot's true state (`PlantState`) that are recorded."""
 _recorded = attrgetter(*_RECORDED)
 
 MakeController = Callable[[BenchModel], Controller]
@@ -55,28 +55,28 @@ class Bench(HeldDevices):
     """Devices, clock, loop and configuration of one bench; use it as a context manager.
 
     Attributes:
-        model: what follows from its configuration alone, without devices and clock.
-        config, geometry, seed, calibration: those of the model.
+        model: everything derived from the configuration alone, without devices and clock.
+        config, geometry, seed, calibration: as in the model.
         clock: virtual or monotonic.
         rig: the devices.
-        world: the emulated world where it lives in this process, else None.
+        world: the emulated world if it runs in this process, else None.
         statistics: punctuality of the latest run.
-        real_time: what the operating system was asked for; None in virtual time.
-        pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
-            empty where no sensor measures it.
-        held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
-            opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
-            `opened`.
-        warnings: what was logged about this bench before the robot moved.
-        warns_not_held: whether a warning is logged where it is left NOT HELD; False for programs that report
-            it otherwise.
-        waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
-            programs that watch a resting robot. Said before it is entered.
-        own_controller: makes, from the model, the controller that every trajectory is driven by; None for the
-            configured law.
-        driven_by: name of a program that drives every trajectory, and by what it is asked; None for none.
-        lost: what devices failed of that ended one of its runs, in words.
-        faults: planned for its emulated devices.
+        real_time: requested real-time scheduling; None in virtual time.
+        pressed: force that pressed the robot on its wall before torque was switched on, as a text; empty
+            where no sensor measures it.
+        held: last result of `look` or, at the end, `close`. A robot that was not checked since devices were
+            opened or it was driven is NOT HELD, "not checked"; if its servos were not opened, `opened` is
+            False.
+        warnings: warnings logged about this bench before the robot moved.
+        warns_not_held: whether a warning is logged if the robot is left NOT HELD; False for programs that
+            report this themselves.
+        waits_for_sensors: whether to wait for a lost sensor beyond its `fail_after_s`, in real time: for
+            programs that watch a resting robot. Set it before the bench is entered.
+        own_controller: makes the controller of every trajectory from the model; None for the configured law.
+        driven_by: name of an external program that drives every trajectory, and the function that queries it;
+            None without one.
+        lost: errors of devices that ended a run of the bench, as texts.
+        faults: faults planned for its emulated devices.
     """
 
     def __init__(
@@ -100,19 +100,19 @@ class Bench(HeldDevices):
         self.real_time = real_time(self.config, clock)
 
     def truth(self) -> PlantState | None:
-        """Physical truth of an emulated robot in this process; None on anything else."""
+        """True physical state of an emulated robot in this process; None for any other robot."""
         if self.world is None:
             return None
         self.world.sync_plant()
         return self.world.plant.truth()
 
     def _recorded_truth(self) -> Mapping[str, object] | None:
-        """What of `truth` goes into the records."""
+        """The part of `truth` that is recorded."""
         truth = self.truth()
         return None if truth is None else dict(zip(_RECORDED, _recorded(truth), strict=True))
 
     def settle(self, duration_s: float = _SETTLE_S) -> Array:
-        """Rest, and return the pose (3,) as `measured_pose` does.
+        """Let the robot rest, and return its pose (3,) as `measured_pose` does.
 
         Raises:
             ConfigError: the start pose is unknown.
@@ -120,22 +120,22 @@ class Bench(HeldDevices):
         return self.measured_pose(self._rest(duration_s).mocap)
 
     def _rest(self, duration_s: float) -> Motion:
-        """Rest, and hold what is seen against what earlier sessions have kept."""
+        """Let the robot rest, and compare the IMU samples with the record of earlier sessions."""
         motion = self.observe(duration_s, feedback="odometry")
         for changed in self._inertial.rested(motion):
             self._warn(changed)
         return motion
 
     def measured_pose(self, mocap: Array) -> Array:
-        """Where the robot stands, (3,): m, m, rad in the wall frame.
+        """Pose of the resting robot, (3,): m, m, rad in the wall frame.
 
         Args:
-            mocap: what motion capture saw during a rest, (n, 3); its mean counts. Where it saw nothing, or
-                sees another world than the servos', the robot stands where the last drive left it; before
-                any, at the configured start pose, if that is where this robot was put.
+            mocap: poses from motion capture during a rest, (n, 3); the mean is used. Without poses, or if
+                motion capture sees another world than the servos', the pose is that at the end of the last
+                drive; before any drive it is the configured start pose, if this robot was placed there.
 
         Raises:
-            ConfigError: it saw nothing of a real robot, and no start pose was given.
+            ConfigError: motion capture did not see a real robot, and no start pose was given.
         """
         self.config.must_know_start()
         known = mocap[np.all(np.isfinite(mocap), axis=1)]
@@ -161,7 +161,7 @@ class Bench(HeldDevices):
         """Run the loop without commanding anything; `start_pose` (3,) as in `drive`.
 
         Raises:
-            UsageError: a duration that is below 0 or no number, or the bench is not open.
+            UsageError: the duration is below 0 or not a number, or the bench is not open.
         """
         check_number(duration_s, "duration_s", "s")
         self.must_be_open()
@@ -179,24 +179,24 @@ class Bench(HeldDevices):
         start_pose: ArrayLike | None = None,
         on_cycle: OnCycle | None = None,
     ) -> Motion:
-        """Check, enable, settle, follow a trajectory to its end, hold.
+        """Check a trajectory, enable the servos, settle, follow the trajectory to its end, then hold.
 
         Args:
-            trajectory: reference; refused before anything moves when the limits cannot follow it.
+            trajectory: reference; refused before anything moves if it exceeds the limits.
             controller: `nonlinear` or `optimal`; the configured law when None.
             feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
-            hold_s: how long to go on controlling at the end.
-            observers: an estimator that runs beside it, or several.
-            start_pose: where the robot stands, (3,); by default measured while settling; where motion capture
-                does not tell, as the last drive left it.
+            hold_s: how long to continue control at the end, s.
+            observers: one or several estimators that run in parallel.
+            start_pose: pose of the robot, (3,); by default measured while settling; without motion capture
+                the pose at the end of the last drive.
             on_cycle: called with every record (progress).
 
         Raises:
-            TrajectoryError: the limits cannot follow it, or it begins elsewhere than the robot stands.
+            TrajectoryError: it exceeds the limits, or does not begin at the robot's pose.
             SafetyStop, DeviceError: the robot is stopped.
             ConfigError: the start pose is unknown.
-            UsageError: `hold_s` is below 0 or no number, no trajectory, an unknown estimator or law, or
-                a bench that is not open.
+            UsageError: `hold_s` is below 0 or not a number, `trajectory` is none, the estimator or law is
+                unknown, or the bench is not open.
         """
         check_number(hold_s, "hold_s", "s")
         self.check(trajectory)
@@ -223,13 +223,13 @@ class Bench(HeldDevices):
 
     @property
     def _capture_is_blind(self) -> bool:
-        """Whether motion capture sees another world than that of the servos' robot."""
+        """Whether motion capture is in another world (emulated or real) than the servos."""
         return "mocap" in self.config.elsewhere()
 
     def _where_it_stands(self) -> RobotState:
-        """At rest where motion capture sees the robot.
+        """State at rest at the pose from motion capture.
 
-        Where it sees nothing, or its frame has moved, where the last drive left it.
+        Without a pose, or if its frame has moved, at the pose where the last drive ended.
         """
         left = None if self._left is None else self._hold.at_rest(self._left)
         seen = self._rest(_SETTLE_S).mocap
@@ -247,7 +247,7 @@ class Bench(HeldDevices):
         return replace(left, t_ns=self.clock.now_ns())
 
     def start_state(self, pose: ArrayLike | None = None) -> RobotState:
-        """State to start a run from: at rest at a pose (3,), by default the configured one."""
+        """Initial state of a run: at rest at a pose (3,), by default the configured one."""
         known = np.array(self.config.environment.start_pose if pose is None else pose, dtype=np.float64)
         covariance = start_covariance(
             self.config.estimator.mocap, measured=pose is not None and self.has("mocap")
@@ -270,19 +270,20 @@ class Bench(HeldDevices):
         return Motion(tuple(records))
 
     def run(self, pipeline: ControlPipeline, start: RunStart, until: Until, *, drop_old: bool = True) -> None:
-        """Run a pipeline from a known state until `until(record)` says so; the robot is stopped at the end.
+        """Run a pipeline from a known state until `until(record)` is true; the robot is stopped at the end.
 
-        Everything is compiled and loaded before the first cycle.
+        All code is compiled and loaded before the first cycle.
 
         Args:
-            pipeline: what decides.
-            start: what `pipeline` was made of, and where the robot stands.
+            pipeline: the pipeline that computes the commands.
+            start: the arguments of `pipeline`, and the initial state.
             until: whether this record was the last.
-            drop_old: let go of what the devices have piled up meanwhile.
+            drop_old: whether to discard samples that the devices have buffered.
 
         Raises:
             ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
-            DeviceError: it is to move by a filter, and the IMU has changed by far since it was measured.
+            DeviceError: the robot is to move by a filter that uses the IMU, and the IMU deviates far from its
+                record.
         """
         if start.controller is not None:
             self._not_looked_at("it has been driven since bench.look() was called")
@@ -312,7 +313,7 @@ class Bench(HeldDevices):
                     self._left = self._hold.last_state
 
     def _lost_device(self, _: object, error: BaseException | None, __: object) -> None:
-        """Keep what a device failed of; the error goes on."""
+        """Store the error of a failed device; the error is still raised."""
         if isinstance(error, DeviceError):
             self.lost.append(str(error))
 
@@ -331,7 +332,7 @@ class Bench(HeldDevices):
         return watched
 
     def _warn(self, said: str) -> None:
-        """Tell once; nothing where it is empty."""
+        """Log a warning once; does nothing for an empty text."""
         if said and said not in self.warnings:
             self.warnings.append(said)
             LOG.warning("%s", said)
@@ -346,11 +347,12 @@ class Bench(HeldDevices):
     ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
-        A controller of the user's own follows every trajectory, and so does a program that drives the bench.
+        A user-supplied controller, or an external program that drives the bench, is used for every
+        trajectory.
 
         Raises:
             UsageError: unknown feedback or controller.
-            ConfigError: the controller of the user's own cannot be made.
+            ConfigError: the user-supplied controller cannot be made.
         """
         if self.driven_by is not None and isinstance(trajectory, Trajectory):
             controller = self.driven_by[0]
@@ -362,14 +364,13 @@ class Bench(HeldDevices):
         return pipeline
 
     def make_loop(self, pipeline: ControlPipeline, start: RunStart) -> ControlLoop:
-        """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
+        """Make a loop over this bench's devices, clock and sinks; its statistics become the bench's.
 
-        The pipeline is reset to the start, now, and the sinks get a note: without that note no program could
-        repeat the run from its recording.
+        This resets the pipeline to the start and sends a note to the sinks; replay needs the note.
 
         Args:
-            pipeline: what decides.
-            start: what `pipeline` was made of, and where the robot stands.
+            pipeline: the pipeline that computes the commands.
+            start: the arguments of `pipeline`, and the initial state.
         """
         begun = replace(_as_decided(start, pipeline), state=replace(start.state, t_ns=self.clock.now_ns()))
         pipeline.reset(begun.state)
@@ -391,11 +392,11 @@ class Bench(HeldDevices):
 
 
 def start_covariance(noise: MocapNoise, *, measured: bool) -> Array:
-    """How well a robot's pose is known that stands, (6, 6): m, m, rad, m/s, m/s and rad/s, squared.
+    """Initial covariance of a robot at rest, (6, 6): squares of m, m, rad, m/s, m/s and rad/s.
 
     Args:
-        noise: of motion capture; where it is small the pose is known better than `START_COVARIANCE`.
-        measured: whether motion capture has measured the pose while the robot rested, else it was configured.
+        noise: noise of motion capture; if small, the pose is known better than `START_COVARIANCE`.
+        measured: whether motion capture measured the pose of the resting robot; else it was configured.
     """
     if not measured:
         return START_COVARIANCE
@@ -406,7 +407,7 @@ def start_covariance(noise: MocapNoise, *, measured: bool) -> Array:
 
 
 def _as_decided(start: RunStart, pipeline: ControlPipeline) -> RunStart:
-    """The start of a run, with the user's own parts under their own names."""
+    """The start of a run, with user-supplied parts under their own names."""
     observers = [own_name(one) or name for name, one in pipeline.observers.items()]
     program = "" if pipeline.external is None else pipeline.external.name
     return replace(

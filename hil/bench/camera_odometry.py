@@ -1,7 +1,7 @@
-"""Sends calibrated wheel odometry to a tracking camera that asks for it, cycle by cycle.
+"""Sends calibrated wheel odometry to a tracking camera in every cycle, if configured.
 
-The odometry is the wheels' alone, not the state of the filter, which contains the camera's poses:
-these would count twice in the camera.
+The odometry uses the wheels only. The filter's state contains the camera's poses, which would then count
+twice in the camera.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from hil.loop.device_set import DeviceSet
 
 
 class WheelFeed(Sink):
-    """Sees the cycles go by and hands the wheels' velocity to the camera.
+    """Sink that sends the wheel velocity of each cycle to the camera.
 
     Args:
-        odometry: of the calibrated wheels.
-        tracker: driver with `take_wheel_velocity`, which neither waits nor raises.
+        odometry: odometry of the calibrated wheels.
+        tracker: driver with `take_wheel_velocity`, which never waits or raises.
     """
 
     def __init__(self, odometry: Estimator, tracker: Any) -> None:
         self._odometry, self._tracker = odometry, tracker
 
     def write(self, record: CycleRecord) -> None:
-        """Tell the velocity of the body's origin in the body's axes, where the wheels were read."""
+        """Send the velocity of the body's origin in body axes, if the wheels were read."""
         if not record.measurements.wheels:
             return
         v_x_m_s, v_y_m_s, _ = self._odometry.update(record.measurements).twist_body.tolist()
@@ -38,7 +38,7 @@ class WheelFeed(Sink):
             self._tracker.take_wheel_velocity(v_x_m_s, v_y_m_s)
 
     def close(self) -> None:
-        """The camera goes on alone."""
+        """Do nothing: the camera continues without wheel odometry."""
 
 
 def wheel_feed(model: BenchModel, rig: DeviceSet) -> tuple[Sink, ...]:
@@ -50,10 +50,10 @@ def wheel_feed(model: BenchModel, rig: DeviceSet) -> tuple[Sink, ...]:
 
 
 def with_wheel_sigma(config: BenchConfig) -> BenchConfig:
-    """A configuration whose camera knows how well the wheels know their velocity.
+    """A configuration in which the camera has the standard deviation of the wheel velocity.
 
-    Of one axis, from one servo read to the next at the highest speed, by the noise that the estimator takes
-    (`estimator.wheels`) and what creep leaves of the way.
+    Per axis, between two servo reads at the highest speed, from the noise that the estimator assumes
+    (`estimator.wheels`) and from creep.
     """
     camera, servos = config.of(T265Config), config.of(ServosConfig)
     if camera is None or servos is None or not camera.wheel_odometry or camera.wheel_sigma_m_s is not None:

@@ -12,8 +12,8 @@ from hil.core.registry import kinds
 from hil.robot.trajectories import Trajectory
 
 _NEAR_M, _NEAR_RAD = 0.02, math.radians(5.0)
-"""What a robot that was put down by hand may be off. The laws correct it with up to 5 m/s per metre, that is
-with 0.1 m/s, below the fastest that wheels are asked for (`control.wheel_speed_m_s`, 0.122 m/s)."""
+"""Tolerated start error of a robot placed by hand. The laws correct it with up to 5 m/s per metre, that is
+with 0.1 m/s, below the largest commanded wheel speed (`control.wheel_speed_m_s`, 0.122 m/s)."""
 _REMEDY = (
     "begin where it stands: in Python with start = hil.procedure.tracking_errors.stand(bench) and "
     "line(start, ...), or put the robot there; where no motion capture sees it, say where it stands "
@@ -22,14 +22,14 @@ _REMEDY = (
 
 
 def must_begin_where_it_stands(trajectory: Trajectory, stands: Array) -> None:
-    """Refuse a trajectory that begins elsewhere: the robot would race there at full speed, the straight way.
+    """Refuse a trajectory that begins elsewhere: the robot would drive straight there at full speed.
 
     Args:
-        trajectory: what is to be followed.
-        stands: (3,) where the robot stands, as the estimate begins.
+        trajectory: trajectory to be followed.
+        stands: (3,) initial pose of the estimate.
 
     Raises:
-        TrajectoryError: it begins more than 20 mm or 5 degrees from there.
+        TrajectoryError: the trajectory begins more than 20 mm or 5 degrees from that pose.
     """
     begins = trajectory.sample(0.0).pose_in_wall
     far_m = math.hypot(begins[0] - stands[0], begins[1] - stands[1])
@@ -48,7 +48,7 @@ def must_begin_where_it_stands(trajectory: Trajectory, stands: Array) -> None:
 
 
 def blind_to_the_drive(config: BenchConfig) -> str:
-    """What a drive on this bench has to expect of sensors that do not see the robot; empty where all do."""
+    """Warning about sensors of this bench that do not see the robot drive; empty if all do."""
     found = kinds()
     blind = [found[name].noun for name in config.elsewhere() if found[name].motion_threshold]
     if not blind:
@@ -62,7 +62,7 @@ def blind_to_the_drive(config: BenchConfig) -> str:
 
 
 def emulated_hold(config: BenchConfig) -> str:
-    """A warning where devices that hold a real robot on its wall are emulated; else empty."""
+    """Warning if devices that hold a real robot on its wall are emulated; else empty."""
     holders = pretended_holders(config)
     if not holders:
         return ""

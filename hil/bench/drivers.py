@@ -20,7 +20,7 @@ from hil.loop.device_set import DeviceSet
 
 
 def model_of(config: BenchConfig, kind: str) -> DeviceModel:
-    """The model that a configured device is of."""
+    """The device model of a configured device."""
     table = config.devices()[kind]
     return kinds()[kind].model(getattr(table, "model"))  # noqa: B009 - every model's table has the key
 
@@ -31,13 +31,13 @@ def make_device_set(
     connections: Mapping[str, Connection],
     failures: Mapping[str, HilError] = MappingProxyType({}),
 ) -> DeviceSet:
-    """Drivers of all configured devices, closed.
+    """Make the drivers of all configured devices; they are not opened.
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
         clock: the bench clock.
-        connections: by kind, where emulated devices are to be found; empty for a bench of hardware.
-        failures: by kind, what an emulated device has come to grief by, from the moment when it has.
+        connections: connections to emulated devices, by kind; empty for a bench of hardware.
+        failures: errors of emulated devices, by kind; filled when they occur.
     """
 
     def driver(name: str, table: DeviceConfig) -> Device:

@@ -1,4 +1,4 @@
-"""Builds the emulated devices of a configuration in one world, connected in process or served."""
+"""Builds the emulated devices of a configuration in one world, in this process or as servers."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ R = TypeVar("R")
 
 
 def repeating_robot(config: BenchConfig) -> RecordedRobot:
-    """The robot of `emulation.replay`.
+    """The robot that repeats the recording of `emulation.replay`.
 
     Raises:
         ConfigError: the path holds more than one recording.
-        DataError: it cannot be read, or is too short.
+        DataError: the recording cannot be read, or is too short.
     """
     emulation, alignment = config.emulation, config.alignment
     path = str(emulation.replay)
@@ -70,12 +70,12 @@ def repeating_robot(config: BenchConfig) -> RecordedRobot:
 
 @dataclass
 class Connected:
-    """Emulated devices in this process, by kind, and how to let go of what they occupy."""
+    """Emulated devices in this process, by kind, and a way to release their channels."""
 
     connections: dict[str, Connection] = field(default_factory=dict)
 
     def close(self) -> None:
-        """Free channel and line names. Idempotent."""
+        """Release channel and line names. Idempotent."""
         while self.connections:
             self.connections.popitem()[1].close()
 
@@ -84,14 +84,14 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     """The robot on its surface at world time 0, without devices."""
     plan = FaultPlan(faults)
     if config.emulation.replay is not None:
-        from hil.bench.emulation import repeating_robot  # with readers of every kind of recording
+        from hil.bench.emulation import repeating_robot  # imports readers of every kind of recording
 
         return World(repeating_robot(config), seed=seed, faults=plan)
     return World(_simulated(config, seed, plan), seed=seed, faults=plan)
 
 
 def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
-    """The robot of the configuration in the physics that it names."""
+    """The robot of the configuration, in the configured physics model."""
     emulation, environment = config.emulation, config.environment
     common: dict[str, Any] = {
         "surface": environment.surface,
@@ -113,10 +113,10 @@ def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
 
 
 def hidden_truth(world: World) -> dict[str, object]:
-    """What the robot of a world truly is, as JSON values; no measurement may use it.
+    """True parameters of the emulated robot, as JSON values; no measurement may use them.
 
     Raises:
-        UsageError: its robot repeats a recording: it is not known.
+        UsageError: the robot repeats a recording, so its parameters are unknown.
     """
     plant = world.plant
     if not isinstance(plant, SteppedBody):
@@ -132,7 +132,7 @@ def hidden_truth(world: World) -> dict[str, object]:
 
 
 def _servo_model(config: BenchConfig) -> ServoModel:
-    """The kind of device whose motors drive and steer the emulated robot."""
+    """The servo model that drives and steers the emulated robot."""
     servos = config.of(ServosConfig)
     return servo_model((servos and servos.model_number) or DEFAULT_MODEL)
 
@@ -140,18 +140,18 @@ def _servo_model(config: BenchConfig) -> ServoModel:
 def emulated(
     config: BenchConfig, world: World, kind: str, name: str, *, standard_ports: bool = False
 ) -> EmulatedDevice:
-    """One emulated device of a bench, built in a world and not connected.
+    """Build one emulated device of a bench in a world; it is not connected.
 
     Args:
-        config: of the bench.
-        world: where it lives.
-        kind: of the device.
-        name: of its line or channel.
-        standard_ports: whether to serve it where such devices are usually found.
+        config: the bench configuration.
+        world: the emulated world.
+        kind: the device's kind.
+        name: name of its line or channel.
+        standard_ports: whether to serve it at the usual ports of such devices.
 
     Raises:
         ConfigError: its model cannot be emulated, or `[emulation.KIND]` is wrong.
-        PackageError: the model comes from a package that gave nothing to emulate it.
+        PackageError: the package of the model returned no emulated device.
     """
     model = model_of(config, kind)
     if not model.chip:
@@ -173,7 +173,7 @@ def emulated(
 
 
 def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Callable[[], R | None]) -> R:
-    """What `connect` or `serve` of an emulated device gives."""
+    """Call `connect` or `serve` of an emulated device, and check the result."""
     model = model_of(config, kind)
     with parts_of(world, kind, model), named(base_of(kind), kind):
         found = asked(kind, model.package, f"{name}() of the emulated device", reach)
@@ -186,10 +186,10 @@ def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Cal
 
 
 def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str] = ()) -> Connected:
-    """All emulated devices of a bench (or `only` some) in this process, on names of their own.
+    """Connect all emulated devices of a bench (or `only` some) in this process, with unique names.
 
     Raises:
-        FaultNotSupportedError: a fault that none of them can produce.
+        FaultNotSupportedError: no emulated device can produce a planned fault.
     """
     number = next(_NUMBERS)
     connected = Connected()
@@ -206,7 +206,7 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
 
 
 def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, ...]:
-    """All faults of a bench, read; whether its devices can produce them is seen when these are built.
+    """Read all faults of a bench; whether its devices support them is checked when these are built.
 
     Raises:
         UsageError, ConfigError: a spec or a file that cannot be read.
@@ -222,7 +222,7 @@ def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[F
 
 
 def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, ...]:
-    """Faults of a bench, each by the name of the device that its own one means."""
+    """Faults of a bench, each with the name of its device resolved."""
     labels = {name: label for name, label in config.labels().items() if label or name not in KINDS}
     read = read_faults((*config.emulation.faults, *given))
     return tuple(replace(fault, device=meant(fault.device, labels)) for fault in read)
@@ -231,21 +231,22 @@ def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, .
 def check_faults(
     config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = ()
 ) -> tuple[Fault, ...]:
-    """Read the faults of a bench, and refuse what none of its emulated devices can be or produce.
+    """Read the faults of a bench, and refuse those that no emulated device can produce.
 
-    All of them are built once, so that a wrong `[emulation.KIND]` is reported here. Nothing is opened.
+    All emulated devices are built once, so that a wrong `[emulation.KIND]` is reported here. Nothing is
+    opened.
 
     Args:
-        config: the bench; the faults that it names come first.
+        config: the bench configuration; its faults come first.
         given: further specs or paths of TOML timelines.
-        only: names of the devices that will be emulated; all that the bench emulates when empty.
+        only: names of the devices that will be emulated; empty for all emulated devices of the bench.
 
     Returns:
         All faults.
 
     Raises:
-        UsageError, ConfigError: a spec or a file that cannot be read, or an emulated device that cannot be.
-        FaultNotSupportedError: naming the fault, what would do, and what was probably meant.
+        UsageError, ConfigError: a spec or a file cannot be read, or a device cannot be emulated.
+        FaultNotSupportedError: names the fault, the supported ones, and the one probably meant.
     """
     faults = planned_faults(config, given)
     if config.emulated():
@@ -254,14 +255,14 @@ def check_faults(
 
 
 def supported_faults(config: BenchConfig) -> dict[str, Supported]:
-    """Every fault that the emulated devices of a bench can produce, with its options, by device name."""
+    """All faults that the emulated devices of a bench support, with their options, by device name."""
     world = build_world(config, seed=0)
     connect_in_process(config, world).close()
     return dict(world.faults.supported)
 
 
 def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[str, ...]:
-    """The faults that name a device which the bench emulates; each as a spec.
+    """Specs of the faults whose device is emulated on the bench.
 
     Args:
         config: the bench; the faults that it names come first.
@@ -285,18 +286,19 @@ def open_emulation(
     await_start: bool = False,
     standard_ports: bool = False,
 ) -> EmulationServer:
-    """The emulated devices of a bench at the wire, in real time, for any client.
+    """Serve the emulated devices of a bench at real ports, in real time, for any client.
 
-    Motion capture is served at the ports that the configuration names, else at free ones.
+    Motion capture is served at the configured ports, else at free ones.
 
     Args:
-        config: the bench; its emulated devices are served.
-        only: names to restrict them to.
+        config: the bench configuration; its emulated devices are served.
+        only: names of the devices to serve; all if empty.
         seed: seed of the world.
-        faults: specs or paths of TOML timelines, beside those of the configuration.
+        faults: specs or paths of TOML timelines, in addition to those of the configuration.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
-        await_start: world time stands still until a byte comes down the lifeline.
-        standard_ports: motion capture at Motive's ports, CAN buses at python-can's own group and port.
+        await_start: whether world time stands still until a byte arrives on the lifeline.
+        standard_ports: whether to use Motive's ports for motion capture, and python-can's group and port for
+            CAN.
 
     Raises:
         FaultNotSupportedError, DeviceError, UsageError.

@@ -1,4 +1,4 @@
-"""Runs `hil emulate` as a child process: starts it, reads its endpoints, ends it."""
+"""Runs `hil emulate` as a child process: start it, read its endpoints, end it."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _END_S = 5.0
 
 
 class EmulatorProcess:
-    """A running `hil emulate` that ends with this process, whatever happens to it.
+    """A running `hil emulate` that ends with this process, even if this process is killed.
 
     Args:
-        config: the bench; its emulated devices are served.
+        config: the bench configuration; its emulated devices are served.
         seed: seed of the emulated world.
         faults: fault specs.
 
     Raises:
-        DeviceError: it did not start; carries what it said.
+        DeviceError: it did not start; contains its output.
     """
 
     def __init__(self, config: BenchConfig, *, seed: int, faults: Sequence[str]) -> None:
@@ -50,7 +50,7 @@ class EmulatorProcess:
         for spec in faults:
             command += ["--fault", spec]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
-        # A signal to the bench's process group is the bench's: it still needs its devices to hold the robot.
+        # A signal to the bench's process group must not end it: the bench needs it to hold the robot.
         self._child = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said, start_new_session=True
         )
@@ -68,7 +68,7 @@ class EmulatorProcess:
         return self._child.pid
 
     def begin(self) -> None:
-        """Let world time run; it stands still before, so that nothing happens to an unwatched robot."""
+        """Start world time; it stands still before, so that nothing happens to an unobserved robot."""
         if self._child.stdin is not None:
             with contextlib.suppress(OSError):
                 self._child.stdin.write(b"\n")
@@ -110,7 +110,7 @@ class EmulatorProcess:
             self._child.wait()
 
     def close(self) -> None:
-        """End the emulator, and tell if it has ended before. Idempotent; never raises."""
+        """End the emulator; log a warning if it had ended by itself. Idempotent; never raises."""
         stdin = self._child.stdin
         if stdin is not None and not stdin.closed and self._child.poll() is not None:
             _LOG.error(
@@ -124,7 +124,7 @@ class EmulatorProcess:
 
 
 def last_words(said: str) -> str:
-    """Why a process of ours has ended, of all that it said: its error, without progress and calls."""
+    """Error message in the output of a child process, without progress lines and call chain."""
     text = f"\n{said.strip()}"
     begin = text.rfind("\nhil: ")
     return text[begin:].removeprefix("\nhil: ") if begin >= 0 else text.splitlines()[-1]

@@ -1,4 +1,4 @@
-"""Switches a bench's fan and propellers outside any run, for `hil adhesion`, by their daemons and devices."""
+"""Switches a bench's fan and propellers outside any run, for `hil adhesion`."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ Say = Callable[[str], None]
 
 
 def daemon_specs(config: BenchConfig) -> dict[str, Spec]:
-    """Specs of all daemons of a bench, by kind: the fan's first, then of propellers behind VESCs.
+    """Specs of all daemons of a bench, by kind: first the fan, then propellers behind VESCs.
 
     Raises:
-        ConfigError: it has neither, or a fan that no other program can reach.
+        ConfigError: the bench has neither, or no other program can reach its fan.
     """
     found = {
         name: Spec(**table.daemon_spec())
@@ -61,7 +61,7 @@ def daemon_spec(config: BenchConfig) -> Spec:
     """Spec of the daemon of a bench's fan.
 
     Raises:
-        ConfigError: it has no fan, or one that no other program can reach.
+        ConfigError: the bench has no fan, or no other program can reach it.
     """
     table = fan_of(config)
     if not isinstance(table, MotorConfig):
@@ -74,7 +74,7 @@ def daemon_spec(config: BenchConfig) -> Spec:
 
 
 def daemon_status(spec: Spec) -> Status | None:
-    """Status of a running daemon; None where there is none. Raises `DeviceError`."""
+    """Status of a running daemon; None if none runs. Raises `DeviceError`."""
     connection = client.connect(spec)
     if connection is None:
         return None
@@ -83,7 +83,7 @@ def daemon_status(spec: Spec) -> Status | None:
 
 
 def other_daemons(specs: Collection[Spec]) -> list[str]:
-    """Names of fans and propellers on the buses of these that have a daemon and are not among them."""
+    """Names of other fans and propellers with a daemon on the same buses as `specs`."""
     named, buses = {spec.name for spec in specs}, {spec.bus for spec in specs}
     return [name for name in running_daemons() if name not in named and bus_of(name) in buses]
 
@@ -97,29 +97,29 @@ def switch_on(
     say: Say,
     tethered: bool = False,
 ) -> float:
-    """Start the fan, or give one that runs another set-point, and wait until it is reached.
+    """Start the fan or change its set-point, and wait until the set-point is reached.
 
     Args:
-        config: of the bench; its fan is opened, and IMU and load cells where a robot might fall.
-        force_n: what to ask for; what the bench wants on its wall when None.
-        duty: asked for in place of a force.
-        wait_s: how long it may take.
-        say: takes a line of progress each second.
+        config: the bench configuration; opens its fan, and IMU and load cells where a robot might fall.
+        force_n: force set-point, N; the bench's working force on its wall when None.
+        duty: set-point in place of a force.
+        wait_s: time limit, s.
+        say: receives a line of progress each second.
         tethered: the operator has confirmed that the robot is tethered or off the wall.
 
     Returns:
-        The force that the fan's speed gives, N. The fan goes on, whatever ends this.
+        The force by the fan's speed, N. The fan keeps running, whatever ends this call.
 
     Raises:
-        ConfigError, UsageError, DeviceError: it cannot be asked for, or is not reached; a bench commands the
-            fan now; or it is too little for a robot that may hang by it, as `seen_off_the_wall` says.
+        ConfigError, UsageError, DeviceError: the set-point is invalid or not reached; a bench commands the
+        fan now; or the force is too small for a robot that may hang by it (`seen_off_the_wall`).
     """
     table, clock = fan_of(config), MonotonicClock()
     wanted_n = force_wanted_n(config) if force_n is None else force_n
     if isinstance(table, MotorConfig):
         _must_be_free(daemon_spec(config))
     fan: Any = make_device_set(config, clock, {}).get(DEVICE)
-    if not tethered:  # and closed again: it would not be commanded while the others are read
+    if not tethered:  # close it again: it would not be commanded while the others are read
         fan.open()
         with contextlib.closing(fan):
             now = _first_report(fan, clock)
@@ -127,7 +127,7 @@ def switch_on(
         must_be_enough(config, table.force_at_n(now.speed_rpm), asked_n)
     fan.open()
     with contextlib.closing(fan):
-        _first_report(fan, clock)  # a fan that runs goes on from there
+        _first_report(fan, clock)  # a running fan starts from there
         if duty is None:
             fan.set_force_n(wanted_n)
         else:
@@ -150,10 +150,10 @@ def switch_on(
 
 
 def _must_be_free(spec: Spec) -> None:
-    """Refuse a fan that another program commands: that one would ask for its own set-point at once.
+    """Refuse a fan that another program commands: that program would send its own set-point at once.
 
     Raises:
-        UsageError: a bench, or another `hil adhesion on`, has asked its daemon for a set-point and goes on.
+        UsageError: a bench, or another `hil adhesion on`, is sending set-points to its daemon.
     """
     setters = set((daemon_status(spec) or {}).get("set_by", ())) - {os.getpid()}
     if not setters:
@@ -168,7 +168,7 @@ def _must_be_free(spec: Spec) -> None:
 
 
 def _first_report(fan: Any, clock: MonotonicClock) -> Any:
-    """A good sample of the fan, as soon as there is one; raises `DeviceError` where none comes."""
+    """Wait for the first good sample of the fan. Raises `DeviceError` if none comes."""
     end_ns = clock.now_ns() + nanoseconds(WATCH_S)
     while clock.now_ns() < end_ns:
         good = [sample for sample in fan.read() if worst(sample) is SampleStatus.OK]
@@ -195,15 +195,15 @@ def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:
 
 
 def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
-    """Let a fan or propellers come to rest along the ramp and wait for it; None where they have no daemon.
+    """Stop a fan or propellers along the ramp and wait for rest; None where they have no daemon.
 
     Args:
         spec: the fan or propellers.
-        confirmed_by: why nothing hangs by it.
-        say: takes a line of progress each half second.
+        confirmed_by: evidence that the robot does not hang by it.
+        say: receives a line of progress each half second.
 
     Raises:
-        UsageError: another program has asked for the force again meanwhile.
+        UsageError: another program has requested the force again meanwhile.
     """
     connection = client.connect(spec)
     if connection is None:
@@ -222,7 +222,7 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
 
 
 def described(status: Mapping[str, Any], spec: Spec) -> str:
-    """One line on how a fan, or propellers, run by their daemon's status."""
+    """One line on the state of a fan or propellers, from their daemon's status."""
     sent, report = status["sent"], status["report"]
     parts = [status["state"] + (f" at {sent[0]} {sent[1]:.3g}" if sent else "")]
     units = (

@@ -19,23 +19,23 @@ from hil.core.signals import Status, worst
 
 DEVICE = "adhesion"
 WATCH_S, STEP_NS = 2.0, nanoseconds(0.02)
-"""For how long, and how often, a device is asked outside any run."""
+"""Duration and period of reading a device outside any run."""
 _AS_NOW = 0.95
-"""Share of the present force from which on a set-point is none that lowers it."""
+"""From this share of the present force on, a set-point does not count as lowering it."""
 _LEVEL_RAD = math.radians(15.0)
 _NO_FORCE = 0.2
-"""Share of what the fan's speed would press with: less of it in the cells means that nothing is sucked at."""
+"""Share of the force by the fan's speed; less at the load cells means that there is no suction."""
 _CELLS_REST_N = 1.0
 _TURNS_RPM = 1000.0
-"""From here on speed over duty is that of a fan that runs."""
+"""Above this speed the fan runs, and speed over duty is valid."""
 _TETHERED = "say --tethered once the robot is tethered or off the wall"
 
 
 def fan_of(config: BenchConfig) -> AdhesionConfig:
-    """Table of the fan of a bench, which has to be a real one.
+    """Table of the real fan of a bench.
 
     Raises:
-        ConfigError: it has none, or an emulated one.
+        ConfigError: the bench has no fan, or an emulated one.
     """
     table = config.of(AdhesionConfig)
     if table is None:
@@ -52,16 +52,16 @@ def fan_of(config: BenchConfig) -> AdhesionConfig:
 
 
 def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
-    """Refuse a set-point that lets a robot fall that may hang by its fan: less than now, or than it needs.
+    """Refuse a set-point below the present or needed force while the robot may hang by its fan.
 
     Args:
-        config: of the bench.
-        is_n: what the fan gives now, N.
-        asked_n: what it is to give, N; NaN where that is unknown.
+        config: the bench configuration.
+        is_n: present force of the fan, N.
+        asked_n: requested force, N; NaN if unknown.
 
     Raises:
-        UsageError: IMU and load cells do not say that the robot is off the wall.
-        DeviceError: one of them cannot be asked.
+        UsageError: IMU and load cells do not show that the robot is off the wall.
+        DeviceError: one of them cannot be read.
     """
     least_n, limits = 0.0, adhesion_limits(config)
     if limits is not None and can_fall(config):
@@ -80,7 +80,7 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
 
 
 def duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
-    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN without both."""
+    """Force at a duty, N: from the present speed of the fan, else from its ratings; NaN without both."""
     if now.duty > 0.0 and now.speed_rpm > _TURNS_RPM:
         return table.force_at_n(now.speed_rpm * duty / now.duty)
     if not isinstance(table, MotorConfig):
@@ -90,12 +90,12 @@ def duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
 
 
 def seen_off_the_wall(config: BenchConfig) -> str:
-    """What shows that the robot does not hang by its fan: it lies level, and nothing is pressed.
+    """Measurements that show that the robot does not hang by its fan: level, and no pressing force.
 
-    Both have to say so, because either may lie.
+    IMU and load cells must both show it, because either may be wrong.
 
     Raises:
-        UsageError: a sensor says that it may hang, or no sensor can see.
+        UsageError: a sensor shows that it may hang, or no sensor can measure it.
     """
     table = fan_of(config)
     rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()
@@ -126,7 +126,7 @@ def seen_off_the_wall(config: BenchConfig) -> str:
 
 
 def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
-    """Good samples of a while."""
+    """Good samples of a device during `WATCH_S`."""
     samples: list[Any] = []
     end_ns = clock.now_ns() + nanoseconds(WATCH_S)
     while clock.now_ns() < end_ns:

@@ -1,4 +1,4 @@
-"""A further device of a kind under its own name: what its driver raises and logs names it."""
+"""Puts the name of a further device into the errors and logs of its driver."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def named(kind: str, name: str) -> Iterator[None]:
     """Run code of a device; errors that name its kind name the device instead.
 
     Args:
-        kind: by whose name the code calls the device.
-        name: of the device on the bench.
+        kind: name of the kind that the code uses for the device.
+        name: the device's name on the bench.
     """
     try:
         yield
@@ -30,7 +30,7 @@ def named(kind: str, name: str) -> Iterator[None]:
 
 
 def making(make: Callable[[], Device], name: str) -> Callable[[], Device]:
-    """What makes a driver that calls itself by the device's name, as far as it uses its `name`."""
+    """Wrap a driver factory so that the driver's `name` is the device's name."""
 
     def made() -> Device:
         device = make()
@@ -44,13 +44,13 @@ def making(make: Callable[[], Device], name: str) -> Callable[[], Device]:
 class OwnName(Device):
     """A driver whose errors name the device.
 
-    To set the driver's `name` is not enough: it hands its name to its parts when it is made, and one of
-    another package may write the kind's name into its errors.
+    Setting the driver's `name` is not enough: the driver passes its name to its parts when it is made, and a
+    driver of another package may write the kind's name into its errors.
 
     Args:
-        driver: of the device, which calls itself by the name of its kind.
-        kind: that name.
-        name: of the device on the bench.
+        driver: driver of the device, which uses the name of the kind.
+        kind: name of the kind.
+        name: the device's name on the bench.
     """
 
     def __init__(self, driver: Device, kind: str, name: str) -> None:

@@ -44,20 +44,20 @@ LOG = logging.getLogger(__name__)
 _LONGER_THAN_DRIVER_S = 0.1
 _WHEEL_MODELS = {"exact": "equations"}
 _SIGMAS, _SESSION_SCALE = 4.0, 0.01
-"""Standard deviations that honest sensors keep within; by how much a scale differs between sessions."""
+"""Limit for good sensors, in standard deviations; difference of a scale between sessions."""
 _CYCLES_LATE = 2.0
 _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
 def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
-    """Scheduling of the loop on the host's clock; virtual time waits for every computation."""
+    """Real-time scheduling on the host's clock; None in virtual time, which waits for every computation."""
     if not isinstance(clock, MonotonicClock):
         return None
     return RealTime(clock, fifo_priority=config.loop.fifo_priority, cpu=config.loop.cpu)
 
 
 def motion_limits(config: BenchConfig) -> MotionLimits:
-    """The limits for references of a configuration."""
+    """Motion limits that references must respect."""
     control, safety = config.control, config.safety
     heading_limit_rad = min(control.heading_limit_rad, safety.heading_limit_rad)
     return MotionLimits(
@@ -70,7 +70,7 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
 
 
 def safety_limits(config: BenchConfig) -> SafetyLimits:
-    """Supervisor limits of a configuration."""
+    """Limits that the supervisor enforces."""
     values = {key: value for key, value in config.safety.model_dump().items() if key in _SUPERVISED}
     servos = config.of(ServosConfig)
     limits_s: dict[str, float | None] = {}
@@ -86,10 +86,10 @@ def safety_limits(config: BenchConfig) -> SafetyLimits:
 
 
 def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedback: str) -> Checks:
-    """The checks of a configuration that compare sensors with each other.
+    """Configure the checks that compare sensors with each other.
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
         geometry: wheels in use.
         follows: whether a reference is followed.
         feedback: estimator in the loop.
@@ -127,7 +127,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
 
 
 def healthy(config: BenchConfig) -> dict[str, Healthy]:
-    """How often and how soon the samples of a bench's sensors should come."""
+    """Expected rate and delay of the samples, by sensor."""
     loop_hz, found = config.loop.rate_hz, {}
     for name, own in config.devices().items():
         kind = kinds()[name]
@@ -143,7 +143,7 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
     """Make the check that compares the motion of camera, wheels, gyro and motion capture.
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
         geometry: wheels in use.
     """
     camera, believed = config.of(TrackerConfig), _SIGMAS * config.estimator.tracker.scale_sigma
@@ -153,14 +153,14 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
 
 
 def _lost_after_s(config: BenchConfig) -> dict[str, float]:
-    """By sensor whose silence matters: after what silence its driver would have raised, and a little more."""
+    """By sensor: silence (s) slightly longer than the limit at which its driver raises."""
     limits = safety_limits(config).stale_s
     fails = fail_limits(config).items()
     return {name: fail_s + _LONGER_THAN_DRIVER_S for name, fail_s in fails if name in limits}
 
 
 def fail_limits(config: BenchConfig) -> dict[str, float]:
-    """By sensor that has one: the silence that its driver raises for, s."""
+    """By sensor: silence at which its driver raises, s; only sensors with such a limit."""
     return {
         name: own.fail_after_s
         for name, own in config.devices().items()
@@ -169,23 +169,23 @@ def fail_limits(config: BenchConfig) -> dict[str, float]:
 
 
 def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:
-    """What watches the robot's hold on its surface; None for a bench without fan and load cells."""
+    """The check of the adhesion force; None for a bench without fan and load cells."""
     limits = adhesion_limits(config)
     return None if limits is None else AdhesionWatch(limits, can_fall=can_fall(config))
 
 
 def can_fall(config: BenchConfig) -> bool:
-    """Whether a robot that lets go falls: it hangs on a wall, without a tether."""
+    """Whether the robot falls if it loses adhesion: on a wall, without a tether."""
     return config.environment.on_wall and not config.safety.tethered
 
 
 def pretended_holders(config: BenchConfig) -> tuple[str, ...]:
-    """Names of what is to hold a real robot that can fall, and is emulated; empty for nothing."""
+    """Names of emulated devices that are meant to hold a real robot that can fall; empty for none."""
     return config.emulated_holders() if can_fall(config) else ()
 
 
 def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
-    """Need and limits of adhesion of a configuration; None for a bench without fan and load cells."""
+    """Required adhesion and its limits; None for a bench without fan and load cells."""
     fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
     if fan is None and cells is None:
         return None
@@ -213,7 +213,7 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
 
 
 def thrust_wanted_n(config: BenchConfig) -> float:
-    """What the propellers push with: `thrust.force_n`, or the configured share of the weight."""
+    """Set-point of the propellers, N: `thrust.force_n`, or the configured share of the weight."""
     push, robot = config.of(ThrustConfig), config.robot
     if push is not None and push.force_n is not None:
         return push.force_n
@@ -222,7 +222,7 @@ def thrust_wanted_n(config: BenchConfig) -> float:
 
 
 def force_wanted_n(config: BenchConfig) -> float:
-    """What the fan is asked for: `adhesion.force_n`, or what `[robot]` says of it."""
+    """Set-point of the fan, N: `adhesion.force_n`, or `robot.edf_force_n`."""
     fan = config.of(AdhesionConfig)
     return config.robot.edf_force_n if fan is None or fan.force_n is None else fan.force_n
 
@@ -240,7 +240,7 @@ def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
 
 
 def geometry_of(config: BenchConfig) -> WheelGeometry:
-    """Nominal wheel geometry of the configured robot, loaded as it stands at heading 0."""
+    """Nominal wheel geometry of the configured robot, with its wheel loads at heading 0."""
     robot = config.robot
     return WheelGeometry(
         np.array(robot.wheel_x_m),
@@ -252,7 +252,7 @@ def geometry_of(config: BenchConfig) -> WheelGeometry:
 
 
 def nominal_of(config: BenchConfig) -> Nominal:
-    """The configured robot on paper, as calibration and evaluation take it."""
+    """Nominal data of the configured robot, for calibration and evaluation."""
     limits_rad = [config.control.steering_limit_rad, config.safety.steering_limit_rad]
     servos = config.of(ServosConfig)
     if servos is not None:
@@ -261,27 +261,27 @@ def nominal_of(config: BenchConfig) -> Nominal:
 
 
 def load_shares(config: BenchConfig) -> Array:
-    """(4,) share of the normal load on each wheel at heading 0, from the robot's data by statics."""
+    """Share of the normal load on each wheel (4,) at heading 0, computed by statics from the robot's data."""
     on_wall = config.environment.on_wall
     loads = config.robot.wheel_loads_n(math.pi / 2.0 if on_wall else 0.0, adheres=on_wall)
     return np.asarray(loads / loads.sum(), dtype=np.float64)
 
 
 def wheel_model(fitted_with: str) -> str:
-    """`estimator.wheels.model` that belongs to calibrations of a forward model."""
+    """Value of `estimator.wheels.model` that fits calibrations of a forward model."""
     return _WHEEL_MODELS.get(fitted_with, fitted_with)
 
 
 def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | None = None) -> BenchConfig:
-    """A configuration whose estimators read the wheels by the model that the calibration was fitted with.
+    """A configuration whose estimators use the wheel model that the calibration was fitted with.
 
-    A model that the bench file names itself stays, and a difference is a warning: calibrated wheels are
-    effective ones, good for their own model only (`docs/calibration.md`).
+    A model named in the bench file is kept, and a difference is a warning: calibrated wheel data are
+    effective values, valid for their own model only (`docs/calibration.md`).
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
         fitted_with: forward model of the calibration (`hil.robot.kinematics.MODELS`).
-        given: whether the file names a model; None to see whether it was set.
+        given: whether the file names a model; None to look whether it was set.
     """
     estimator = config.estimator
     wheels, wanted = estimator.wheels, wheel_model(fitted_with)
@@ -304,7 +304,7 @@ def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | Non
 def with_measured_scale(config: BenchConfig) -> BenchConfig:
     """A configuration whose filters start from the measured uncertainty of the camera's scale.
 
-    `estimator.tracker.scale_sigma` stays where the bench file, or a preset, names it: a difference is a
+    `estimator.tracker.scale_sigma` is kept if the bench file or a preset sets it; a difference is a
     warning. Without a measurement nothing changes.
     """
     tracker = config.of(TrackerConfig)

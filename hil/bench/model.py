@@ -1,7 +1,7 @@
 """Makes pipelines, estimators and the header of a recording from a configuration, without devices.
 
-No device, clock or loop: a replay needs this half of a bench only, and gets the same pipelines from it as
-the loop had.
+It has no device, clock or loop: a replay needs only this part of a bench, and gets the same pipelines from it
+as the loop.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class BenchModel:
         config: the checked configuration, as used.
         geometry: wheel geometry in use (nominal or calibrated).
         calibration: name and version of the calibration in use; empty without one.
-        fitted_with: forward model that it was fitted with; empty without one.
+        fitted_with: forward model of the calibration; empty without one.
         seed: seed of the emulated world.
     """
 
@@ -61,17 +61,17 @@ class BenchModel:
         self.alignment_parameters = alignment_parameters(config)
 
     def with_estimator(self, estimator: EstimatorConfig) -> BenchModel:
-        """The same bench with other filters."""
+        """The same bench with other filter settings."""
         made = copy(self)
         made.config = self.config.model_copy(update={"estimator": estimator})
         return made
 
     def versions(self) -> dict[str, str]:
-        """Versions of what the result depends on."""
+        """Versions of the software that the result depends on."""
         return versions()
 
     def header(self) -> dict[str, object]:
-        """What a recording says about its origin, enough to build the pipeline of every run again."""
+        """Header of a recording: its origin, and all data to rebuild the pipeline of every run."""
         return {
             "config": self.config.model_dump(mode="json", by_alias=True, exclude_none=True),
             "geometry": self.geometry.vector().tolist(),
@@ -92,7 +92,7 @@ class BenchModel:
     ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
-        A program on ROS 2 (`ros2:TOPIC`) drives without a trajectory, too.
+        A program on ROS 2 (`ros2:TOPIC`) can also drive without a trajectory.
 
         Raises:
             UsageError: unknown feedback or controller.
@@ -132,7 +132,7 @@ class BenchModel:
         )
 
     def _external(self, name: str) -> Ros2Controller:
-        """A program on ROS 2 that drives; nothing is attached to it yet."""
+        """Controller for a ROS 2 program that drives; not connected yet."""
         config = self.config
         limits = JointLimits(
             config.safety.wheel_rate_limit_rad_s,
@@ -145,7 +145,7 @@ class BenchModel:
         return Ros2Controller(name, limits, self.alignment_parameters, modules)
 
     def _restart(self) -> Restart | None:
-        """How it goes on after a pause that its servos' watchdogs did not wait for."""
+        """Restart after a loop pause in which the servos' watchdogs tripped; None without watchdogs."""
         servos, control = self.config.of(ServosConfig), self.config.control
         if servos is None or not servos.watchdog_s:
             return None
@@ -158,7 +158,7 @@ class BenchModel:
         )
 
     def make_estimator(self, kind: str, *, diagnostics: bool = True) -> Estimator:
-        """A fresh estimator of this bench, with or without figures about itself.
+        """Make an estimator for this bench, with or without diagnostics.
 
         Raises:
             UsageError: unknown kind.
@@ -171,7 +171,7 @@ class BenchModel:
         )
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
-        """Refuse what the limits cannot follow: arguments and errors are those of `Bench.check`."""
+        """Refuse a trajectory that exceeds the limits; arguments and errors as in `Bench.check`."""
         if not isinstance(trajectory, Trajectory):
             raise UsageError(
                 f"{trajectory!r} is no trajectory",

@@ -1,7 +1,7 @@
-"""`open_bench`: decides how a bench runs and puts it together.
+"""`open_bench`: decides how a bench runs and assembles it.
 
-Three ways, one code: every device emulated in virtual time (the default where all are emulated),
-emulated devices at the wire in real time in a process of their own, and any mix with real devices.
+Three modes share the code: all devices emulated in virtual time (the default where all are emulated),
+emulated devices served in real time by a separate process, and any mix with real devices.
 """
 
 from __future__ import annotations
@@ -47,28 +47,28 @@ def open_bench(
     calibration: str | Path | None = None,
     start_pose: Sequence[float] | None = None,
 ) -> Bench:
-    """A bench, to be entered as a context manager.
+    """Make a bench; enter it as a context manager.
 
     Args:
         config: path of a bench file, name of a shipped profile, or a configuration.
-        emulate: `all` or names of devices to emulate, whatever the file says.
+        emulate: `all` or names of devices to emulate; overrides the file.
         seed: seed of the emulated world; in virtual time the same seed gives the same run, bit for bit on the
             same arithmetic (`hil info`).
-        realtime: emulated devices in real time at the wire, in a process of their own.
+        realtime: whether a separate process serves the emulated devices in real time.
         faults: for emulated devices: a spec (`imu:stuck@2+3`) or the path of a TOML timeline, or several;
-            they come beside those of the configuration.
+            added to those of the configuration.
         overrides: dotted configuration key -> value.
-        sinks: receive every cycle.
+        sinks: sinks that receive every cycle.
         calibration: `calibration.toml`; overrides the one of the configuration.
-        start_pose: where the robot stands, (3,): m, m, rad in the wall frame; overrides
-            `environment.start_pose`. An emulated robot is put there.
+        start_pose: pose of the robot, (3,): m, m, rad in the wall frame; overrides `environment.start_pose`.
+            An emulated robot is placed there.
 
     Raises:
         ConfigError: the configuration or the calibration is wrong.
-        FaultNotSupportedError: a fault that no emulated device of the bench can produce.
+        FaultNotSupportedError: no emulated device of the bench can produce a fault.
         DeviceError: the emulated devices cannot be served.
-        UsageError: a seed that is no whole number from 0 on; real devices, in a run of pytest whose command
-            line does not name them.
+        UsageError: `seed` is not an integer >= 0; real devices in a pytest run whose command line does not
+            name them.
     """
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
         raise UsageError(f"seed is {seed!r}", expected="a whole number, 0 or more")
@@ -87,7 +87,7 @@ def open_bench(
 def _put_together(
     model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...], *, realtime: bool
 ) -> Bench:
-    """The devices of a model with their clock: real, at the wire, or in virtual time."""
+    """Assemble a bench from a model, with real, served or in-process emulated devices and their clock."""
     config = model.config
     if not config.emulated():
         clock = MonotonicClock()
@@ -126,7 +126,7 @@ def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, 
     try:
         emulator = EmulatorProcess(served, seed=model.seed, faults=[describe(f) for f in plan])
     except DeviceError:
-        check_faults(served, plan)  # where a key of the bench file is at fault, that is reported instead
+        check_faults(served, plan)  # an error in a key of the bench file is reported instead
         raise
     clock = MonotonicClock()
     rig = make_device_set(config, clock, _reach(config, emulator.endpoints))
@@ -137,7 +137,7 @@ def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, 
 
 
 def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> dict[str, Connection]:
-    """Connections by kind, from the endpoints that the emulator printed."""
+    """Connections by kind, from the endpoints that `hil emulate` printed."""
     found = {}
     for kind in config.emulated():
         endpoint, model = endpoints[kinds()[kind].shown_as], model_of(config, kind)
@@ -147,7 +147,7 @@ def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> d
 
 
 def _model(config: BenchConfig, given: str | Path | None, seed: int) -> BenchModel:
-    """What follows from a configuration, with the wheels of the calibration that it or the caller names."""
+    """Make the model from a configuration, with the wheels of its calibration or of the given one."""
     path = given if given is not None else config.calibration
     if path is None:
         return BenchModel(config, geometry=geometry_of(config), seed=seed)

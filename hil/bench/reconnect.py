@@ -1,8 +1,9 @@
-"""Opens a lost port of a sensor again while the run goes on.
+"""Reopens a lost port of a sensor while the run continues.
 
-Opening takes up to seconds, so it happens in a thread, and only on the host's clock: ports of virtual time
-come back by themselves. Meanwhile the sensor delivers nothing. A sensor that is silent for longer than its
-`fail_after_s` is an error, in virtual time and in real time alike, so that a procedure ends the same in both.
+Opening takes up to seconds, so it happens in a thread, and only in real time: ports in virtual time recover
+by themselves. Meanwhile the sensor delivers no samples. A sensor that is silent for longer than its
+`fail_after_s` is an error, in virtual time and in real time alike, so that a procedure ends in the same way
+in both.
 Only a program that watches a resting robot, such as `hil live`, waits longer.
 """
 
@@ -26,27 +27,27 @@ S = TypeVar("S")
 
 @runtime_checkable
 class Reopenable(Protocol):
-    """A driver whose device may have been away.
+    """A driver that can reconnect to its device.
 
     Attributes:
-        port_gone: whether the port itself fails, so that waiting for the device is in vain.
+        port_gone: whether the port itself has failed, so that waiting for the device is useless.
     """
 
     port_gone: bool
 
     def reopen(self) -> None:
-        """As `open`, but samples go on counting and what the device counted from anew is marked."""
+        """As `open`, but sequence numbers continue, and a restart of the device's counters is marked."""
 
 
 def reconnecting(
     sensors: Mapping[str, Sensor[Any]], clock: Clock, fail_after_s: Mapping[str, float] | None = None
 ) -> dict[str, Sensor[Any]]:
-    """Wrap sensors that can come back in a `Reconnecting`; in virtual time none.
+    """Wrap sensors that can reconnect in a `Reconnecting`; none in virtual time.
 
     Args:
-        sensors: by kind.
+        sensors: drivers by kind.
         clock: the bench clock.
-        fail_after_s: by kind, the silence that is an error, s; every sensor is waited for where it is None.
+        fail_after_s: by kind, the silence that is an error, s; None to wait for every sensor.
     """
     real_time = clock.wall_offset() is not None
     waits = fail_after_s is None
@@ -60,14 +61,14 @@ def reconnecting(
 
 
 class Reconnecting(Sensor[S]):
-    """A sensor that may be unplugged for a while.
+    """A sensor that may be disconnected for a while.
 
     Args:
-        driver: of the sensor; a `Reopenable`.
+        driver: driver of the sensor; a `Reopenable`.
         clock: the bench clock, in real time.
-        patience_s: how long it may be away.
-        waits: whether it is waited for although its driver has given it up, too; else that error is raised,
-            and only a port that has gone is opened again.
+        patience_s: how long the sensor may be disconnected, s.
+        waits: whether to wait also after an error of the driver; else that error is raised, and only a lost
+            port is reopened.
     """
 
     def __init__(
@@ -90,19 +91,19 @@ class Reconnecting(Sensor[S]):
         self._driver.open()
 
     def close(self) -> None:
-        """End what goes on and close the driver. Idempotent; never raises."""
+        """End a running reopening and close the driver. Idempotent; never raises."""
         self._end()
         self._driver.close()
 
     def identity(self) -> Mapping[str, str]:
-        """What was found; empty while the sensor is away."""
+        """Identity of the device; empty while the sensor is disconnected."""
         return self._driver.identity() if self._worker is None else {}
 
     def read(self) -> tuple[S, ...]:
-        """Samples since the last call; none while the sensor is away.
+        """Samples since the last call; none while the sensor is disconnected.
 
         Raises:
-            DeviceError: it has been away for too long.
+            DeviceError: it has been disconnected for too long.
         """
         if self._worker is not None:
             if self._worker.is_alive():
@@ -129,20 +130,20 @@ class Reconnecting(Sensor[S]):
         self._worker.start()
 
     def _work(self) -> None:
-        """Open the device until that works, until it takes too long, or until it is closed."""
+        """Retry opening the device until it succeeds, takes too long, or the driver is closed."""
         driver = cast("Reopenable", self._driver)
         while not self._ended.is_set():
             try:
                 driver.reopen()
                 return
-            except Exception as error:  # of a library that lost its device: whatever it raises is no end
+            except Exception as error:  # a library that lost its device may raise anything: retry
                 if self._away_ns > self._patience_ns:
                     self._failure = error if isinstance(error, HilError) else HilError(repr(error))
                     return
             self._ended.wait(_PAUSE_S)
 
     def _finish(self) -> None:
-        """Go on with a device that is back; raises for one that is not."""
+        """Resume a reconnected device. Raises if it did not come back."""
         self._worker = None
         if self._failure is None:
             LOG.warning("%s is back after %.2f s", self.name, self._away_ns / NS_PER_S)

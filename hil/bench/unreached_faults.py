@@ -1,7 +1,7 @@
-"""Injected faults whose start time was never reached: the test has not met them.
+"""Injected faults whose start time was never reached: the test did not cover them.
 
-A closing bench stops the robot and looks at it. A fault that begins during that look may still cost the
-robot, but nothing that a test or a run did has been under it.
+A closing bench stops the robot and looks at it. A fault that begins during this check may still make the
+robot fall, but no step of the test or run was exposed to it.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from hil.fakes.fault import Fault, describe, parse_fault
 
 
 def not_begun(faults: Iterable[Fault], world_ns: int) -> tuple[str, ...]:
-    """Specs of those faults that begin later than a world has come.
+    """Specs of the faults that begin after the present world time.
 
     Args:
-        faults: as they were planned.
-        world_ns: how far the world has come.
+        faults: the planned faults.
+        world_ns: present world time.
     """
     return tuple(describe(fault) for fault in faults if fault.start_ns > world_ns)
 
 
 def not_begun_in_words(specs: Sequence[str], world_ns: int, looked_ns: int) -> str:
-    """One line for the user, who asked for the faults.
+    """One line for the user about faults that did not begin in time.
 
     Args:
-        specs: of faults that begin later than `world_ns`.
-        world_ns: how far the world had come when the bench was closed.
-        looked_ns: the same when the look at the stopped robot was over.
+        specs: specs of faults that begin later than `world_ns`.
+        world_ns: world time when the bench was closed.
+        looked_ns: world time when the check of the stopped robot was over.
     """
     begin_s = {spec: parse_fault(spec).start_ns / NS_PER_S for spec in specs}
     never = [spec for spec, at_s in begin_s.items() if at_s > looked_ns / NS_PER_S]

@@ -1,7 +1,7 @@
 """The call chain of an exception through the user's own code: procedure, script, device package, own parts.
 
-Frames of this package, of Python and of installed libraries are left out: what they were called with comes
-from the user's code. Those of an installed package that adds a device stay: it may be the user's own.
+Frames of this package, of Python and of installed libraries are left out: their arguments come from the
+user's code. Frames of an installed package that adds a device are kept: the user may have written it.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ class Call(NamedTuple):
     """One call of a chain.
 
     Attributes:
-        file: below the current folder relative to it, else absolute.
-        line: number of the line in it, from 1.
-        function: whose line it is.
-        code: the line.
-        times: how often it stands there one after the other.
-        raised: the exception that left it, in a line; empty unless it is the last frame of one.
+        file: path, relative if below the current folder, else absolute.
+        line: line number, from 1.
+        function: name of the function.
+        code: source text of the line.
+        times: number of identical consecutive frames.
+        raised: the exception in one line, in its last frame; else empty.
     """
 
     file: str
@@ -53,19 +53,19 @@ class Call(NamedTuple):
 
 
 def chain_of(error: BaseException, *, shipped: bool = False) -> tuple[Call, ...]:
-    """The frames of the user's code, the outermost call first, at most 50; empty where there is none.
+    """The frames of the user's code, outermost call first, at most 50; empty where there are none.
 
-    An exception that was raised from another is followed by the frames of that one.
+    The frames of an exception's cause follow its own.
 
     Args:
-        error: as it was caught.
+        error: the caught exception.
         shipped: whether the procedures that come with this package count as the user's.
     """
     return tuple(_frames(error, shipped))[-_MOST:]
 
 
 def keep_chain(error: BaseException) -> None:
-    """Have an exception keep its chain when it is sent to another process."""
+    """Store the call chain in an exception, so that it survives the transfer to another process."""
     setattr(error, _FROM_ELSEWHERE, chain_of(error))
 
 
@@ -75,7 +75,7 @@ def as_json(chain: Iterable[Call]) -> list[dict[str, Any]]:
 
 
 def in_words(chain: Iterable[Mapping[str, Any]]) -> str:
-    """A chain of `as_json` in lines, as Python writes one, the last call at the end."""
+    """Format a chain from `as_json` like a Python traceback, the last call at the end."""
     lines: list[str] = []
     for frame in chain:
         lines.append(f'  File "{frame["file"]}", line {frame["line"]}, in {frame["function"]}')
@@ -86,7 +86,7 @@ def in_words(chain: Iterable[Mapping[str, Any]]) -> str:
 
 
 def place_of(error: BaseException) -> str:
-    """File and line from which an exception comes: of the user's code, where it is in the chain."""
+    """File and line where an exception was raised: the last of the user's code, else the last of all."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if _is_users(frame.filename, shipped=True)]
     last = next(reversed(own or frames), None)
@@ -104,13 +104,13 @@ def _frames(error: BaseException, shipped: bool) -> Iterator[Call]:
             own[-1] = own[-1]._replace(raised=error_text(link))
         yield from own
         yield from kept
-        if kept:  # its causes are among them, also where a library has sent those, too
+        if kept:  # the kept chain includes the causes
             return
         link = link.__cause__ or (None if link.__suppress_context__ else link.__context__)
 
 
 def _own(error: BaseException, shipped: bool) -> Iterator[Call]:
-    """The user's frames of one exception."""
+    """The user's frames of one exception, without its causes."""
     every = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in every if _is_users(frame.filename, shipped)]
     for (file, line, function), same in groupby(own, key=lambda s: (s.filename, s.lineno, s.name)):
@@ -120,7 +120,7 @@ def _own(error: BaseException, shipped: bool) -> Iterator[Call]:
 
 @lru_cache(maxsize=512)
 def _is_users(file: str, shipped: bool) -> bool:
-    """Whether a file is none of this package, of Python, or of an installed library that adds no device."""
+    """Whether a file is the user's: not of this package, of Python or of a library that adds no device."""
     if file.startswith("<frozen "):
         return False
     whole = os.path.realpath(file)
@@ -140,5 +140,5 @@ def _below(file: str, folder: str) -> bool:
 
 
 def _device_packages() -> set[str]:
-    """The outermost modules of the installed packages that add devices."""
+    """Top-level modules of the installed packages that add devices."""
     return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}

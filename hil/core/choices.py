@@ -1,6 +1,6 @@
 """Names that configuration, procedures and the command line let a user choose from.
 
-They are apart from what they name, so that `--help` does not wait for numerical libraries.
+They are separate from the code that they name, so that `--help` loads no numerical libraries.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from typing import Literal, get_args
 
 EstimatorName = Literal["odometry", "ekf", "ukf"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
-"""What can tell a running loop where the robot is."""
+"""Estimators that can run in the loop."""
 COMPARED = (*ESTIMATORS, "smoother")
-"""What a recording can be run through afterwards."""
+"""Estimators that can process a recording afterwards."""
 LawName = Literal["nonlinear", "optimal"]
 LAWS: tuple[LawName, ...] = get_args(LawName)
 """Control laws: the authors', and the time-varying LQR."""
@@ -21,6 +21,6 @@ METHODS = ("lm", "interior-point", "ga", "pso")
 DistributionName = Literal["humble", "iron", "jazzy", "kilted", "lyrical", "rolling"]
 """Distributions of ROS 2."""
 ROS2 = "ros2:"
-"""Begins the name of a controller that is a program on ROS 2; its topic follows."""
+"""Prefix of the name of a controller that runs on ROS 2; its topic follows."""
 HIGHEST_DOMAIN = 101
-"""Of the domains of ROS 2 (DDS): above it their ports run into those that Linux gives to any program."""
+"""Highest ROS 2 (DDS) domain whose ports stay below the ephemeral ports of Linux."""

@@ -1,10 +1,10 @@
-"""Clocks: the time of everything that measures, decides or records. Integer nanoseconds on a monotonic axis.
+"""Clocks for everything that measures, decides or records: integer nanoseconds, monotonic.
 
 `MonotonicClock` is real time. The virtual clock lives in `hil.fakes.world` because sleeping on it
-advances the emulated world. Either is handed in. The host's own clock serves the programs beside the loop
-(fan daemon, console, viewer, command line), what waits for them, the watch for calls that do not return, the
-doctor's look at slow reads, and the day on which a record is still valid. `pyproject.toml` lists these
-modules; ruff refuses `time` in all others.
+advances the emulated world. Code gets a clock as an argument. Only these read the host's clock directly: the
+programs beside the loop (fan daemon, console, viewer, command line), code that waits for them, the watchdog
+for calls that do not return, the doctor's check for slow reads, and the date check of a record.
+`pyproject.toml` lists these modules; ruff refuses `time` in all others.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class WallOffset(NamedTuple):
     """Wall-clock time at a clock's zero.
 
     Attributes:
-        offset_ns: added to a time of the clock it gives ns since the Unix epoch.
-        uncertainty_ns: how far `offset_ns` may be off, as far as the host's wall clock itself is right.
-        measured_ns: when that was found out, on the clock.
+        offset_ns: a time of the clock plus this offset is ns since the Unix epoch.
+        uncertainty_ns: largest error of `offset_ns`, if the host's wall clock is right.
+        measured_ns: time of the measurement, on the clock.
     """
 
     offset_ns: int
@@ -38,11 +38,11 @@ class WallOffset(NamedTuple):
 
 
 Task = Callable[[int], int]
-"""Takes the time at which it is called, and returns when it wants to be called again, ns."""
+"""Receives the time of the call and returns the time of the next call, ns."""
 
 
 class Clock(Protocol):
-    """Time and waiting, as an argument."""
+    """Source of time and of waiting; passed as an argument."""
 
     @abstractmethod
     def now_ns(self) -> int:
@@ -50,20 +50,20 @@ class Clock(Protocol):
 
     @abstractmethod
     def sleep_until_ns(self, t_ns: int) -> None:
-        """Return at `t_ns` or at once if that has passed."""
+        """Sleep until `t_ns`; return at once if it has passed."""
 
     @abstractmethod
     def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
-        """Have something done beside the caller's work, at `due_ns` and whenever it says from then on.
+        """Call `task` at `due_ns`, then at each time that it returns, concurrently with the caller.
 
         In real time it runs in a thread of its own; in virtual time while another call sleeps.
 
         Returns:
-            Ends it; a call that is under way is not waited for. May be called twice.
+            Function that ends the schedule without waiting for a running call. May be called twice.
         """
 
     def wall_offset(self) -> WallOffset | None:
-        """What leads from this clock to the time of day; None where nothing does (virtual time)."""
+        """Offset from this clock to the time of day; None without one (virtual time)."""
         return None
 
 
@@ -80,7 +80,7 @@ class MonotonicClock(Clock):
             time.sleep(left_ns / NS_PER_S)
 
     def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
-        """Run `task` in a daemon thread; what it raises ends the thread, so it should not."""
+        """Run `task` in a daemon thread; an exception in `task` ends the thread."""
         ended = threading.Event()
 
         def work() -> None:
@@ -92,7 +92,7 @@ class MonotonicClock(Clock):
         return ended.set
 
     def wall_offset(self) -> WallOffset:
-        """The offset by the reading of the wall clock that took least between two readings of this one."""
+        """Measure the offset: of 25 wall-clock readings, use the one that took least time."""
         looks = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(_LOOKS)]
         before_ns, wall_ns, after_ns = min(looks, key=lambda look: look[2] - look[0])
         middle_ns, width_ns = (before_ns + after_ns) // 2, after_ns - before_ns
@@ -100,24 +100,24 @@ class MonotonicClock(Clock):
 
 
 def sleep_punctually(on: bool = True) -> None:
-    """Have the kernel end this thread's sleeps when they are due, not up to 50 us later to save power.
+    """Make the kernel end this thread's sleeps on time, not up to 50 us later to save power.
 
-    Linux, `PR_SET_TIMERSLACK`; nothing elsewhere. Threads and processes started later inherit it.
+    Linux only (`PR_SET_TIMERSLACK`); no effect elsewhere. Threads and processes started later inherit it.
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, int(on), 0, 0, 0)
 
 
 def local_time() -> str:
-    """The host's date, time of day and zone, as results say when they were made: ISO 8601, whole seconds."""
+    """The host's date, time of day and zone for time stamps of results: ISO 8601, whole seconds."""
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def seconds(t_ns: int) -> float:
-    """Nanoseconds as seconds."""
+    """Convert nanoseconds to seconds."""
     return t_ns / NS_PER_S
 
 
 def nanoseconds(t_s: float) -> int:
-    """Seconds as rounded integer nanoseconds."""
+    """Convert seconds to integer nanoseconds, rounded."""
     return round(t_s * NS_PER_S)

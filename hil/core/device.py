@@ -1,8 +1,8 @@
-"""What a kind of device and a model of it are: inherit, state what is particular, override what differs.
+"""Base classes of device kinds and device models: inherit, set the attributes, override what differs.
 
-A kind (`imu`) is what the rest of the bench knows: its samples, how they are judged, recorded and drawn. A
-model of it (`bno055`) is a thing that one can buy: its table in the bench file, its driver, and its emulated
-counterpart. `model = "..."` in the bench file chooses. Both are classes without state of their own.
+A kind (`imu`) is what the rest of the bench knows: its samples, and how they are checked, recorded and
+plotted. A model (`bno055`) is a product of that kind: its table in the bench file, its driver, and its
+emulated device. `model = "..."` in the bench file selects the model. Both classes hold no state.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ Figures = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Connection:
-    """Where an emulated device in this process is to be found.
+    """How a driver reaches an emulated device in this process.
 
     Attributes:
-        values: keys of its table in the bench file that say where (`port`, `channel`, ...).
-        parts: what stands in for objects of a vendor's library: keyword arguments of the driver.
-        close: frees what it occupies.
+        values: address keys of its table in the bench file (`port`, `channel`, ...).
+        parts: stand-ins for objects of a vendor's library: keyword arguments of the driver.
+        close: releases the address.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -39,12 +39,12 @@ class Connection:
 
 
 class Found(NamedTuple):
-    """A device that discovery has found.
+    """A device that discovery found.
 
     Attributes:
         table: keys of its table in the bench file.
-        notes: what a person should know of it.
-        parts: what it consists of, for example each servo of a bus: dataclasses.
+        notes: remarks for the user.
+        parts: its components as dataclasses, for example each servo of a bus.
     """
 
     table: Mapping[str, Any]
@@ -54,11 +54,11 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True)
 class Search:
-    """What discovery may ask beside serial ports.
+    """What discovery may search besides serial ports.
 
     Attributes:
         given: by kind, tables of devices that the user named.
-        clock: for time-outs.
+        clock: clock for time-outs.
         say: receives progress.
         sysfs: where the kernel lists its devices.
         found: by kind, tables of what has been found so far.
@@ -75,8 +75,8 @@ class Topic(NamedTuple):
     """A ROS 2 topic on which a kind's samples are recorded.
 
     Attributes:
-        name, type: of the topic, for example `/imu/data` and `sensor_msgs/msg/Imu`.
-        message: the message of (sample, `hil.recording.ros_types.MessageMaker`).
+        name, type: topic name and message type, for example `/imu/data` and `sensor_msgs/msg/Imu`.
+        message: makes the message from (sample, `hil.recording.ros_types.MessageMaker`).
     """
 
     name: str
@@ -96,9 +96,9 @@ class Force(NamedTuple):
     """A force on the robot that the monitor draws as an arrow.
 
     Attributes:
-        name: of what makes it: `fan`.
-        place_m: (3,) where it acts, in the body.
-        force_n: (3,) in the body.
+        name: source of the force, for example `fan`.
+        place_m: (3,) point of application, body frame.
+        force_n: (3,) force vector, body frame.
     """
 
     name: str
@@ -107,13 +107,13 @@ class Force(NamedTuple):
 
 
 def loaded(path: str) -> Any:
-    """What `package.module:name` names; imported when it is needed."""
+    """Import and return the object that `package.module:name` names."""
     module, _, name = path.partition(":")
     return getattr(import_module(module), name)
 
 
 def opens(device: Device) -> bool:
-    """Whether a device opens; it is closed again."""
+    """Whether a device can be opened; closes it again."""
     try:
         device.open()
     except HilError:
@@ -127,16 +127,16 @@ class DeviceModel:
 
     Attributes:
         kind: name of the kind.
-        name: as `model = "..."` in the bench file names it.
-        title: as a person says it, for example `BNO055 on a serial port`.
+        name: value of `model = "..."` in the bench file.
+        title: readable name, for example `BNO055 on a serial port`.
         config: its table in the bench file, a subclass of `hil.config.device.DeviceConfig`.
         driver: `package.module:Class` of the driver, which takes (config, clock).
         chip: `package.module:Class` of the emulated device; empty where it cannot be emulated.
-        probe_order: models with a smaller number are asked first: those that answer quickly.
+        probe_order: models with a smaller number are probed first: those that answer quickly.
         probe_writes: what `probe` writes to the port, in words; empty where it only listens.
-        usb: (vendor, product) ids of adapters that are this model: `probe` of no model writes to them.
+        usb: (vendor, product) ids of adapters that are this model; no `probe` writes to such adapters.
         not_measured: fields of the kind's sample that this model does not measure: NaN with every status.
-        package: name and version of the package that it comes from; filled in when it is loaded.
+        package: name and version of the package that provides it; set when it is loaded.
     """
 
     kind: ClassVar[str]
@@ -152,10 +152,10 @@ class DeviceModel:
     package: str = "hil"
 
     def make_driver(self, config: Any, clock: Clock, **parts: Any) -> Device:
-        """The driver, closed.
+        """Make the driver; it is not opened.
 
         Args:
-            config: the table of the device.
+            config: the device's table in the bench file.
             clock: the bench clock.
             parts: stand-ins for objects of a vendor's library (`Connection.parts`).
         """
@@ -163,70 +163,70 @@ class DeviceModel:
         return device
 
     def emulate(self, request: Any) -> Any:
-        """The emulated device of a `hil.devices.emulated_device.EmulationRequest`, not connected."""
+        """Build the emulated device for a `hil.devices.emulated_device.EmulationRequest`; not connected."""
         return loaded(self.chip).build(request)
 
     def truth_options(self) -> type[Any] | None:
-        """Dataclass of `[emulation.KIND]`, what is true of the emulated one; None where there is nothing."""
+        """Dataclass of `[emulation.KIND]`, the true parameters of the emulated device; None without any."""
         return getattr(loaded(self.chip), "Options", None) if self.chip else None
 
     def probe(self, port: str, clock: Clock) -> Found | None:
-        """The model at a serial port, if it is there. It changes no setting of a device."""
+        """Find this model at a serial port; None if it is not there. Changes no setting of a device."""
         return None
 
     def search(self, search: Search) -> Found | None:
-        """The model elsewhere (CAN, network, USB), if it is there. It changes no setting of a device."""
+        """Find this model on CAN, network or USB; None if it is not there. Changes no setting of a device."""
         return None
 
     def check(self, watched: Any) -> Iterable[Finding]:
-        """Findings of `hil doctor` beside those of the kind, of a `hil.devices.doctor_watch.Watched`."""
+        """Findings of `hil doctor` on a `hil.devices.doctor_watch.Watched`, besides those of the kind."""
         return ()
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any] | Connection:
-        """Keys of its table from the endpoint that `hil emulate` printed."""
+        """Address keys of its table, from the endpoint that `hil emulate` printed."""
         return {key: value for key, value in endpoint.items() if key in self.config.model_fields}
 
     @property
     def can_probe(self) -> bool:
-        """Whether `probe` is more than the default."""
+        """Whether the model overrides `probe`."""
         return type(self).probe is not DeviceModel.probe
 
     @property
     def can_search(self) -> bool:
-        """Whether `search` is more than the default."""
+        """Whether the model overrides `search`."""
         return type(self).search is not DeviceModel.search
 
 
 class DeviceKind:
-    """What the bench knows of a kind of device; every default is that of a plain sensor.
+    """What the bench knows about a kind of device; the defaults describe a plain sensor.
 
     Attributes:
-        name: of its table in the bench file, its field or key in `Inputs`, its faults and its topics.
-        noun: as sentences call it: `camera`.
+        name: names its table in the bench file, its field or key in `Inputs`, its faults and its topics.
+        noun: its name in messages, for example `camera`.
         sample: dataclass of its samples: a `stamp` and a `status` (one, or one for each channel), scalars
             and arrays.
-        models: what there is of it; the first is meant where the bench file names none.
-        aliases: further names that people give it.
+        models: available models; the first is the default where the bench file names none.
+        aliases: other common names.
         labels: names of the channels, where `status` has several.
-        endpoint: its name in what `hil emulate` prints, where that is not its own.
+        endpoint: its name in the output of `hil emulate`, where that differs from `name`.
         moves_robot: whether it is opened last and closed first, because it moves the robot: servos only.
-        holds_robot: whether what it does keeps the robot on its surface
+        holds_robot: whether its action keeps the robot on its surface
             (`hil.core.interfaces.Holding`): opened first, closed last, left alone by a stop.
-        guards_hold: whether its samples show how firmly the robot is held: a run that leaves devices out
-            keeps it, as it keeps those that hold.
+        guards_hold: whether its samples show how firmly the robot is held. A run that leaves devices out
+            keeps this device, as it keeps the devices that hold the robot.
         has_own_clock: whether samples carry the device's own time.
-        max_age_s: how old its samples may be when they arrive, at rest.
+        max_age_s: largest age of its samples on arrival, at rest.
         max_gap_s: longest gap between good samples that is still healthy.
-        min_delivered: least share of the samples that have to be good.
-        topics: where its samples are recorded.
+        min_delivered: smallest share of good samples.
+        topics: ROS 2 topics on which its samples are recorded.
         plots: where the monitor draws `figures`.
-        motion_threshold: by how much `motion_value` may seem to change within 0.2 s while the robot rests; 0
+        motion_threshold: largest apparent change of `motion_value` within 0.2 s while the robot rests; 0
             where its samples do not show motion.
-        measures_position: whether `motion_value` is a position in m, which says how far the robot went; where
-            the threshold is more than a millimetre, only a way of more than that.
-        silent_faults: by fault, why it may pass without a word: which data do not change, or that nothing
-            notices; `*` for every other fault.
-        package: name and version of the package that it comes from; filled in when it is loaded.
+        measures_position: whether `motion_value` is a position in m, which gives the distance travelled.
+            Where the threshold exceeds 1 mm, only a distance above the threshold counts.
+        silent_faults: by fault, why no check may report it: which data do not change, or that nothing detects
+            it; `*` for every other fault.
+        package: name and version of the package that provides it; set when it is loaded.
     """
 
     name: ClassVar[str]
@@ -251,55 +251,55 @@ class DeviceKind:
     package: str = "hil"
 
     def stale_after_s(self, safety: Any, config: Any) -> float | None:
-        """Time without a good sample after which it counts as silent; None for never.
+        """Time (s) without a good sample after which the device counts as silent; None for never.
 
         Args:
             safety: `[safety]` of the bench file.
-            config: table of the device; its `stale_s` by default.
+            config: the device's table; its `stale_s` by default.
         """
         return getattr(config, "stale_s", None)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """Samples per second of a healthy device; NaN where its owner chooses.
+        """Samples per second of a healthy device; NaN where the rate is set outside the bench file.
 
         Args:
-            config: table of the device; its `rate_hz` by default, else the loop rate.
+            config: the device's table; its `rate_hz` by default, else the loop rate.
             loop_hz: loop rate.
         """
         return float(getattr(config, "rate_hz", loop_hz))
 
     def checks(self, config: Any) -> Sequence[Any]:
-        """Checks that stop the robot by its samples: `hil.loop.cycle_data.Check`, new ones for each run.
+        """New checks (`hil.loop.cycle_data.Check`) for a run, which stop the robot by this kind's samples.
 
         Args:
-            config: table of the device.
+            config: the device's table.
         """
         return ()
 
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
-        """What the monitor draws of a cycle: (entity, figures by name) for each plot."""
+        """Values of a cycle that the monitor plots: (entity, figures by name) for each plot."""
         yield from ()
 
     def forces(self, inputs: Inputs, robot: Any, config: Any) -> Iterator[Force]:
-        """Forces on the robot by a cycle's samples, instead of those that `[robot]` promises.
+        """Forces on the robot as measured in a cycle, in place of the nominal ones of `[robot]`.
 
         Args:
-            inputs: of the cycle.
+            inputs: inputs of the cycle.
             robot: `[robot]` of the bench file.
-            config: table of the device, or None.
+            config: the device's table, or None.
         """
         yield from ()
 
     def motion_value(self, sample: Any) -> Array | None:
-        """(k,) that changes when the robot moves; None where the sample cannot be used."""
+        """Value (k,) that changes when the robot moves; None where the sample cannot be used."""
         return None
 
     def check(self, watched: Any) -> Iterator[Finding]:
-        """Findings of `hil doctor`, of a `hil.devices.doctor_watch.Watched`: good samples by default."""
+        """Findings of `hil doctor` on a `hil.devices.doctor_watch.Watched`; by default on lost samples."""
         yield from watched.losses("check cable, supply and settings")
 
     def model(self, name: str) -> DeviceModel:
-        """A model by its name; raises `KeyError`."""
+        """The model with this name. Raises `KeyError`."""
         found = next((m for m in self.models if m.name == name), None)
         if found is None:
             raise KeyError(name)

@@ -8,12 +8,12 @@ _EXACT = 17
 
 
 def digits_apart(value: float, others: Iterable[float | None], least: int = 4) -> int:
-    """Significant digits with which a value reads otherwise than all that it differs from.
+    """Significant digits that print a value differently from every other value.
 
     Args:
-        value: to be printed.
-        others: such as its limits; None for those that there are not.
-        least: how many it has anyway.
+        value: value to be printed.
+        others: values to tell it from, such as its limits; None and equal values are ignored.
+        least: smallest number of digits.
     """
     different = [other for other in others if other is not None and other != value]
     return next(

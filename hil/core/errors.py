@@ -1,4 +1,4 @@
-"""The one error tree of the project and the exit code that each branch maps to.
+"""The error classes of the project and the exit code of each branch.
 
 Every error that can reach a user derives from `HilError`. A leaf also inherits the builtin that a
 Python reader would expect (`ValueError`, `OSError`, ...), carries the data needed to act on it, and
@@ -49,7 +49,7 @@ class HilError(Exception):
         super().__init__("; ".join(parts))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Errors go from a worker process to its parent as they are, whatever their arguments are."""
+        """Pickle the error unchanged, for the way from a worker process to its parent."""
         return _again, (type(self), self.args, self.__dict__)
 
 
@@ -61,7 +61,7 @@ def _again(kind: type[HilError], args: tuple[object, ...], carried: dict[str, ob
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """A question that names the known word nearest to a mistyped one; empty when none is near."""
+    """Hint ("did you mean ...?") with the known word nearest to a mistyped one; empty when none is near."""
     near = nearest(word, known)
     return f"did you mean {near}?" if near else ""
 
@@ -74,15 +74,15 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def reason_of(error: Exception) -> str:
-    """Why the system or a parser said no, without the number and the path that an `OSError` carries.
+    """Error text of the system or a parser, without the error number and path of an `OSError`.
 
-    An `OSError` that a library raised may have no text of the system; then its own text counts, or its kind.
+    An `OSError` from a library may have no system text; then its own text is used, or its class name.
     """
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 def error_text(error: BaseException) -> str:
-    """An exception in one line: its class and what it says."""
+    """An exception in one line: its class and its message."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
 
@@ -100,17 +100,17 @@ class ConfigError(HilError, ValueError):
 
 
 class UsageError(HilError, ValueError):
-    """A command or a call cannot mean anything sensible (bad argument, bad combination)."""
+    """A command or a call is invalid (bad argument, bad combination)."""
 
 
 def check_number(value: float, name: str, unit: str, *, above_zero: bool = False) -> None:
-    """Refuse an argument that is not finite, or below zero.
+    """Refuse an argument that is not finite or is below zero.
 
     Args:
-        value: of the argument.
-        name: of the argument.
-        unit: of its value, for the error.
-        above_zero: zero is refused, too.
+        value: value of the argument.
+        name: name of the argument.
+        unit: unit for the error message.
+        above_zero: whether zero is refused as well.
 
     Raises:
         UsageError: naming argument, value and what was expected.
@@ -135,7 +135,7 @@ class TrajectoryError(HilError, ValueError):
     Args:
         t_s: time on the trajectory, s.
         quantity: name with unit, for example `wheel speed (m/s)`.
-        value: the offending value; `limit` is what it was held against.
+        value: the offending value; `limit` is the limit that it was compared with.
     """
 
     def __init__(
@@ -171,11 +171,11 @@ class DeviceError(HilError, OSError):
 
 
 class DeviceTimeoutError(DeviceError, TimeoutError):
-    """A device did not answer within its budget, repeatedly."""
+    """A device repeatedly did not answer within its time-out."""
 
 
 class FaultNotSupportedError(UsageError):
-    """A fault was asked for that the emulated device does not model, or on real hardware."""
+    """A requested fault is not modelled by the emulated device, or the device is real hardware."""
 
 
 class SafetyStop(HilError, RuntimeError):
@@ -201,7 +201,7 @@ class Aborted(HilError, RuntimeError):
 
 
 class RecordingError(Aborted):
-    """What a run leaves behind can no longer be kept (disk full, read-only, too slow); `path` names it."""
+    """The results of a run can no longer be stored (disk full, read-only, too slow); `path` is the file."""
 
     def __init__(self, path: str, message: str, *, remedy: str = "") -> None:
         self.path = path
@@ -209,7 +209,7 @@ class RecordingError(Aborted):
 
 
 class DefectError(HilError):
-    """An exception that was not foreseen; its traceback is printed before its message."""
+    """An unexpected exception; its traceback is printed before its message."""
 
     exit_code = EXIT_ABORTED
 
@@ -221,7 +221,7 @@ class DefectError(HilError):
 
 
 class StepTimeoutError(HilError, TimeoutError):
-    """A step or a teardown took longer than it may; the robot is stopped on the way out."""
+    """A step or a teardown exceeded its time limit; the robot is stopped on the way out."""
 
     exit_code = EXIT_DEVICE
 
@@ -231,10 +231,10 @@ class StepTimeoutError(HilError, TimeoutError):
 
 
 def shown_path(path: Path) -> str:
-    """A path as it is printed and kept: below the current folder relative to it, else absolute."""
+    """A path for messages and results: relative if below the current folder, else absolute."""
     try:
         here = os.getcwd()
-    except OSError:  # it has been removed
+    except OSError:  # the current folder was removed
         return str(path)
     whole = os.path.normpath(os.path.join(here, path))
     return os.path.relpath(whole, here) if whole.startswith(here.rstrip(os.sep) + os.sep) else whole

@@ -1,4 +1,4 @@
-"""What a controller that is another program commanded in one cycle, as it came: replay decides by it."""
+"""Commands of a controller in another program during one cycle, as received; replay uses them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from hil.core.geometry import Array
 
 @dataclass(frozen=True)
 class ExternalCommand:
-    """One message, unjudged.
+    """One message as received, not checked yet.
 
     Attributes:
-        t_ns: when it came, on the bench clock.
-        stamp_ns: its own stamp, on the bench clock; None where it has none.
+        t_ns: time of arrival, on the bench clock.
+        stamp_ns: the message's stamp, on the bench clock; None without one.
         kind: `joints`, or `twist` of the body.
-        names: of joints; empty for a twist.
-        position_rad, velocity_rad_s, effort: of joints, (n,), any of them shorter than `names`. A twist has
+        names: joint names; empty for a twist.
+        position_rad, velocity_rad_s, effort: (n,) joint values; each may be shorter than `names`. A twist has
             only `velocity_rad_s`, (6,): linear x, y, z in m/s, then angular x, y, z in rad/s.
     """
 
@@ -31,14 +31,14 @@ class ExternalCommand:
 
 @dataclass(frozen=True)
 class ExternalCommands:
-    """All of one cycle.
+    """All commands of one cycle.
 
     Attributes:
         commands: oldest first.
-        reason, trouble: why the robot must stop, as the network shows it: one word, and in words; empty for
-            nothing. Words without a reason name the publishers when the newest command is late.
-        only_synchronised: in lockstep, the stamp says no more than that the command is of no earlier cycle:
-            the same run need not come again.
+        reason, trouble: why the robot must stop, as seen on the network: one word, and a text; both empty for
+            none. A text without a reason names the publishers when the newest command is late.
+        only_synchronised: in lockstep, the stamp shows only that the command belongs to no earlier cycle; a
+            repeated run may differ.
     """
 
     commands: tuple[ExternalCommand, ...] = ()

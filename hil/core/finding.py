@@ -13,13 +13,13 @@ Level = Literal["ok", "warning", "failure"]
 
 @dataclass(frozen=True)
 class Finding:
-    """What was looked at, what was found, what would be right, what to do.
+    """Result of one check: what was checked, found and expected, and the remedy.
 
     Attributes:
-        device: of the bench, or `bench`.
-        check: what was looked at.
-        found, expected, remedy: in words.
-        frames: of the package's code that failed, as `hil.core.call_chain.as_json` has them.
+        device: name of the device, or `bench`.
+        check: what was checked.
+        found, expected, remedy: texts.
+        frames: call chain in the package's code that failed, as of `hil.core.call_chain.as_json`.
     """
 
     device: str
@@ -36,7 +36,7 @@ class Finding:
 
     @classmethod
     def of_error(cls, device: str, check: str, error: HilError) -> Finding:
-        """A failure that an error says."""
+        """Make a finding of level `failure` from an error."""
         from hil.core.call_chain import as_json, chain_of
 
         frames = tuple(as_json(chain_of(error)))

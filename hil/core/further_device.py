@@ -1,8 +1,8 @@
 """A further device of a kind on one bench: a second range finder, another IMU.
 
-To the rest of the bench it is a kind of its own, called `KIND_NAME` (`rangefinder_rear`): so it has its own
-table, samples, faults, topics, columns and plots. What the kind says about one device is asked of inputs in
-which the further one's samples stand where the kind looks for its own.
+The rest of the bench treats it as a separate kind, called `KIND_NAME` (`rangefinder_rear`), with its own
+table, samples, faults, topics, columns and plots. The kind's methods are called with inputs in which the
+samples of the further device are stored under the kind's name.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ _LABEL = re.compile("[a-z][a-z0-9_]*")
 
 
 def is_label(name: object) -> bool:
-    """Whether one of several devices of a kind may be called so."""
+    """Whether a name is valid for one of several devices of a kind."""
     return isinstance(name, str) and _LABEL.fullmatch(name) is not None
 
 
 def in_place_of(name: str, kind: str, inputs: Inputs) -> Inputs:
-    """Inputs in which the samples of the device `name` are those of its kind.
+    """Inputs with the samples of the device `name` stored as those of its kind.
 
     Args:
-        name: of a further device.
-        kind: that it is of.
-        inputs: of a cycle.
+        name: name of a further device.
+        kind: name of its kind.
+        inputs: inputs of a cycle.
     """
     own = {kind: inputs.of(name)}
     changed: dict[str, Any] = own if kind in KINDS else {"added": {**inputs.added, **own}}
@@ -42,15 +42,15 @@ def in_place_of(name: str, kind: str, inputs: Inputs) -> Inputs:
 
 
 class FurtherKind(DeviceKind):
-    """A kind, as one further device of it.
+    """A device kind under the name of one further device.
 
     Args:
-        kind: that there is.
+        kind: the existing kind.
         label: the device's `name` in the bench file.
 
     Attributes:
         of: name of the kind.
-        label: the device's name beside others of the kind.
+        label: the device's name among those of its kind.
     """
 
     def __init__(self, kind: DeviceKind, label: str) -> None:
@@ -80,47 +80,50 @@ class FurtherKind(DeviceKind):
         return f"{entity}_{self.label}"
 
     def own(self, text: str) -> str:
-        """A name of the kind, or one that begins with it and a dot or underscore, as that of the device."""
+        """Replace the kind's name at the start of `text` by the device's; other text is unchanged.
+
+        The kind's name must be all of `text`, or be followed by a dot or underscore.
+        """
         begins = text == self.of or text.startswith((f"{self.of}.", f"{self.of}_"))
         return self.name + text.removeprefix(self.of) if begins else text
 
     def alone(self, inputs: Inputs) -> Inputs:
-        """Inputs as if the device were the only one of its kind."""
+        """Inputs in which this device is the only one of its kind."""
         return in_place_of(self.name, self.of, inputs)
 
     def stale_after_s(self, safety: Any, config: Any) -> float | None:
-        """As of the kind."""
+        """Same as the kind."""
         return self._kind.stale_after_s(safety, config)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """As of the kind."""
+        """Same as the kind."""
         return self._kind.rate_hz(config, loop_hz)
 
     def checks(self, config: Any) -> Sequence[Any]:
-        """As of the kind; they are to be given cycles whose inputs are `alone`."""
+        """Checks of the kind; the caller must give them cycles whose inputs went through `alone`."""
         return self._kind.checks(config)
 
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
-        """As of the kind, for entities of its own."""
+        """Figures of the kind, with the device's own entity names."""
         for entity, figures in self._kind.figures(self.alone(inputs)):
             yield self._entity(entity), figures
 
     def forces(self, inputs: Inputs, robot: Any, config: Any) -> Iterator[Force]:
-        """As of the kind, by names of its own."""
+        """Forces of the kind, with the device's label in their names."""
         for force in self._kind.forces(self.alone(inputs), robot, config):
             yield force._replace(name=f"{force.name} {self.label}")
 
     def motion_value(self, sample: Any) -> Array | None:
-        """(k,) as of the kind."""
+        """Value (k,), same as the kind."""
         return self._kind.motion_value(sample)
 
     def check(self, watched: Any) -> Iterator[Finding]:
-        """As of the kind."""
+        """Same as the kind."""
         return self._kind.check(watched)
 
 
 def _further_model(model: DeviceModel, name: str) -> DeviceModel:
-    """A model of a further device; on CAN it is served at a multicast group of its own."""
+    """Copy of a model for a further device; on CAN it is served at its own multicast group."""
     made = copy(model)
     made.__dict__.update({"kind": name, "subnet": 0})
     return made

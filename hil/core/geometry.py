@@ -23,7 +23,7 @@ _SMALL_ANGLE_RAD = 1e-4
 
 
 def _floats(values: ArrayLike) -> list[float]:
-    """Plain Python floats: arithmetic on four of them is ten times quicker than on an array."""
+    """Convert to plain Python floats: arithmetic on four floats is ten times quicker than on an array."""
     out = values.tolist() if isinstance(values, np.ndarray) else list(values)  # type: ignore[arg-type]
     return out  # type: ignore[return-value]
 
@@ -39,9 +39,9 @@ def wrap_array(angle_rad: ArrayLike) -> Array:
 
 
 def mean_angle(angles_rad: Sequence[float]) -> float:
-    """Mean of angles that may lie on both sides of half a turn, all within half a turn of the first, rad.
+    """Mean of angles (rad) that lie within half a turn of the first; they may cross the wrap at pi.
 
-    It is not wrapped. NaN of none.
+    The mean is not wrapped; it is NaN without angles.
     """
     if not angles_rad:
         return math.nan
@@ -102,7 +102,7 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def multiplied(a_wxyz: Sequence[float], b_wxyz: Sequence[float]) -> Four:
-    """Hamilton product in plain floats, for where many follow each other."""
+    """Hamilton product of two quaternions, in plain floats for speed."""
     aw, ax, ay, az = a_wxyz
     bw, bx, by, bz = b_wxyz
     return (
@@ -114,7 +114,7 @@ def multiplied(a_wxyz: Sequence[float], b_wxyz: Sequence[float]) -> Four:
 
 
 def conjugated(q_wxyz: Sequence[float]) -> Four:
-    """Conjugate in plain floats."""
+    """Conjugate of a quaternion, in plain floats."""
     w, x, y, z = q_wxyz
     return w, -x, -y, -z
 

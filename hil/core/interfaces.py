@@ -33,7 +33,7 @@ ReportStop = Callable[[str, str], None]
 
 
 class Device(Protocol):
-    """Something on the bench with a name that can be opened and closed.
+    """A named device of the bench that can be opened and closed.
 
     `open` checks identity and raises `DeviceError` with device, port, expectation and remedy;
     `close` never raises and may be called twice.
@@ -47,11 +47,11 @@ class Device(Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the port. Idempotent; never raises."""
+        """Release the port. Idempotent; never raises."""
 
     @abstractmethod
     def identity(self) -> Mapping[str, str]:
-        """What was found at open: model, firmware, serial number, port. Empty while closed."""
+        """Identity read at open: model, firmware, serial number, port. Empty while closed."""
 
 
 class Sensor(Device, Protocol[S_co]):
@@ -61,8 +61,8 @@ class Sensor(Device, Protocol[S_co]):
     def read(self) -> tuple[S_co, ...]:
         """All samples since the last call, oldest first.
 
-        A bad sample is returned as data with its status; only persistence raises `DeviceError`.
-        Blocks at most for the device's own exchange (a poll), never for the next sample of a stream.
+        A bad sample is returned with its status; only a lasting failure raises `DeviceError`.
+        Blocks at most for one request and reply (a poll), never for the next sample of a stream.
         """
 
 
@@ -71,19 +71,19 @@ class Actuators(Device, Protocol):
 
     @abstractmethod
     def ask(self) -> None:
-        """Begin a read, so that other devices can be drained while the bus answers; `read` completes it."""
+        """Send a read request, so that other devices can be read while the bus answers; `read` ends it."""
 
     @abstractmethod
     def read(self) -> tuple[ServoSample, ...]:
-        """One synchronised read of all eight, as a tuple of one sample; begun here if `ask` has not."""
+        """One synchronised read of all eight servos, as a tuple of one sample; begun here unless by `ask`."""
 
     @abstractmethod
     def read_health(self) -> tuple[ServoHealth, ...]:
-        """Voltage and temperature, at the driver's own slow rate, as `read` has come by it; empty between."""
+        """Voltage and temperature that `read` collected, at the driver's slow rate; empty in between."""
 
     @abstractmethod
     def enable(self) -> None:
-        """Goal := present, watchdog armed, torque on; looked after from now on, even if this fails."""
+        """Set goal := present, arm watchdogs, torque on; kept alive from now on, even after an error."""
 
     @abstractmethod
     def command(self, setpoint: ServoSetpoint) -> None:
@@ -95,25 +95,25 @@ class Actuators(Device, Protocol):
 
     @abstractmethod
     def look_after(self) -> ServoHold:
-        """Wheels at rest; what a servo has lost (torque, goals, watchdog) is put right. Never raises.
+        """Keep wheels at rest; restore what a servo has lost (torque, goals, watchdog). Never raises.
 
-        From `enable` until `release` or `close` the driver does so by itself when no call talks to it.
+        From `enable` until `release` or `close` the driver also does this by itself when no calls come.
         """
 
     @abstractmethod
     def release(self) -> None:
-        """Torque off. On a wall the robot slides: only at the operator's word."""
+        """Switch torque off. On a wall the robot slides: only on the operator's command."""
 
 
 class Holding(Sensor[S_co], Protocol[S_co]):
-    """What keeps the robot on its surface beside its wheels: the fan, the propellers.
+    """A device that keeps the robot on its surface besides the wheels: the fan, the propellers.
 
-    Opening and closing it changes nothing: it goes on with the last command, of whichever program.
+    Opening and closing it changes nothing: it continues with the last command of any program.
     """
 
     @abstractmethod
     def set_force_n(self, force_n: float) -> None:
-        """Ask for a force from now on, reached by a ramp; refused with nothing sent if it cannot be meant.
+        """Set the force set-point, reached by a ramp; an invalid one is refused and nothing is sent.
 
         Raises:
             UsageError: negative, not finite, or more than the device may give.
@@ -121,16 +121,16 @@ class Holding(Sensor[S_co], Protocol[S_co]):
 
     @abstractmethod
     def set_duty(self, duty: float) -> None:
-        """Ask for a share of what the device can do, 0..1; as `set_force_n`."""
+        """Set the duty, 0..1 of full output; otherwise as `set_force_n`."""
 
     def brace(self) -> None:
-        """Hold as firmly as it may: the robot is being lost. Never raises."""
+        """Raise the force to the permitted maximum, because the robot is losing its hold. Never raises."""
         return
 
     def leave_alone(self, alone: bool) -> None:
-        """Send nothing by itself while `alone`, as if the bench had ended; then go on. Never raises.
+        """Send nothing while `alone`, as if the bench had ended; resume afterwards. Never raises.
 
-        So it is seen whether the last command holds the robot without the bench.
+        This shows whether the last command holds the robot without the bench.
         """
         return
 
@@ -140,11 +140,11 @@ class Estimator(Protocol):
 
     @abstractmethod
     def reset(self, state: RobotState) -> None:
-        """Start from a known state."""
+        """Restart the estimator from a known state."""
 
     @abstractmethod
     def update(self, measurements: Measurements) -> RobotState:
-        """Take one cycle's measurements (late ones rewind) and return the state at `t_ns`."""
+        """Process one cycle's measurements (late ones rewind the filter) and return the state at `t_ns`."""
 
 
 class Controller(Protocol):
@@ -152,27 +152,27 @@ class Controller(Protocol):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget integrators and held angles."""
+        """Clear integrators and held steering angles."""
 
     @abstractmethod
     def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
-        """Wheel setpoints at the state's time; `wheels` gives the measured steering angles."""
+        """Compute wheel setpoints at the state's time; `wheels` gives the measured steering angles."""
 
 
 Ask = Callable[[CycleRecord], ExternalCommands]
-"""Shows a cycle, before anything is commanded in it, to another program; returns what that commands."""
+"""Sends a cycle to another program before the cycle is commanded; returns the commands of that program."""
 
 
 class ExternalController(Protocol):
-    """A controller that is another program: what came of it decides, and is recorded.
+    """A controller in another program; the commands received from it are used and recorded.
 
     Attributes:
-        name: as `--controller` has it.
-        ask: gets its commands; a pipeline that nothing is attached to hears none.
-        begun: whether there was a command since `reset`; until then nothing moves, and no time passes for the
-            reference.
-        heard: of the latest cycle.
-        warning: what is to be known of the run so far; empty for nothing.
+        name: value of `--controller`.
+        ask: gets its commands; returns none in a pipeline without a connection.
+        begun: whether a command arrived since `reset`; until then nothing moves, and the time of the
+            reference stands still.
+        heard: commands of the latest cycle.
+        warning: warning about the run so far; empty for none.
     """
 
     name: str
@@ -183,18 +183,18 @@ class ExternalController(Protocol):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget the run."""
+        """Clear the state of the run."""
 
     @abstractmethod
     def update(self, seen: CycleRecord, wheels: WheelMeasurement | None) -> WheelSetpoint | None:
-        """Setpoint of a cycle; None to rest where the wheels stand.
+        """Setpoint of a cycle; None to hold the wheels where they are.
 
         Args:
-            seen: the cycle; its setpoint and command mean nothing yet.
+            seen: the cycle; its setpoint and command are not set yet.
             wheels: newest aligned wheels; None where none were read.
 
         Raises:
-            SafetyStop: by what it commands, or because it does not.
+            SafetyStop: its command is not permitted, or missing.
         """
 
 
@@ -203,24 +203,27 @@ RUN_NOTE, HELD_NOTE = "run", "held"
 
 
 class Sink(Protocol):
-    """Receives every cycle. `write` never blocks nor raises; what cannot be taken is dropped and counted."""
+    """Receives every cycle. `write` never blocks or raises; records it cannot take are dropped, counted."""
 
     @abstractmethod
     def write(self, record: CycleRecord) -> None:
-        """Take the record of one cycle."""
+        """Process the record of one cycle."""
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Take a note between two cycles: how a run begins, how the robot was left. Never raises.
+        """Record a note between two cycles: how a run begins, how the robot was left. Never raises.
 
         Args:
             t_ns: bench time.
-            kind: what it is: `RUN_NOTE`, `HELD_NOTE`, or one of the caller's own.
+            kind: `RUN_NOTE`, `HELD_NOTE`, or one of the caller's own.
             data: plain values.
         """
         return
 
     def objection(self) -> HilError | None:
-        """Why the loop must not go on; it asks before every cycle, stops the robot and raises this."""
+        """Error because of which the loop must not continue; else None.
+
+        The loop checks it before every cycle, stops the robot and raises it.
+        """
         return None
 
     def rest(self) -> None:
@@ -229,13 +232,13 @@ class Sink(Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Flush and let go. Never raises."""
+        """Flush and release resources. Never raises."""
 
 
 @runtime_checkable
 class CommandingSink(Sink, Protocol):
-    """A sink beyond which a program is that commands the robot."""
+    """A sink that connects to a program which commands the robot."""
 
     @abstractmethod
     def ask(self, seen: CycleRecord) -> ExternalCommands:
-        """Show a cycle before anything is commanded in it; waits for an answer, for as long as may be."""
+        """Send a cycle before it is commanded, and wait for the answer up to the permitted time."""

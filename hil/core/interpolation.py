@@ -1,4 +1,4 @@
-"""Samples interpolated to other instants, NaN across gaps."""
+"""Interpolates samples to other instants; NaN across gaps."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from hil.core.geometry import Array
 def between_samples(
     at: Array, t: Array, values: Array, *, longest: float, before: float = 0.0, after: float = 0.0
 ) -> Array:
-    """Columns of `values` linearly interpolated, (m, k); NaN where the samples do not reach.
+    """Interpolate the columns of `values` linearly, (m, k); NaN outside the samples and inside gaps.
 
     Args:
         at: (m,) instants wanted.
         t: (n,) times of the samples, in order, in the unit of `at`.
-        values: (n, k); NaN everywhere comes of fewer than two.
-        longest: gap between samples that is still interpolated; inside a longer one there is nothing.
-        before: how far before the first sample it is repeated.
-        after: how far after the last sample it is repeated.
+        values: (n, k); with fewer than two samples the result is all NaN.
+        longest: longest gap between samples that is interpolated; NaN inside a longer one.
+        before: time before the first sample for which it is repeated.
+        after: time after the last sample for which it is repeated.
     """
     if len(t) < 2:
         return np.full((len(at), values.shape[1]), math.nan)

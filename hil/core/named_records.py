@@ -1,9 +1,9 @@
-"""Names the numbers in a flat block, as kernels read and write it.
+"""Names the numbers in the flat memory block that compiled kernels read and write.
 
 A class derived from `Record` lists its fields with their types: `float` or `int`, an array with its shape
-(`Four`, `Annotated[Ints, 2]`), or another such class. `dtype_of` makes the numpy type from it; a kernel then
-writes `m.tally.nis = 1.0`, which compiled is as quick as an index. At run time such an object is a numpy
-scalar, a view into its block.
+(`Four`, `Annotated[Ints, 2]`), or another class derived from `Record`. `dtype_of` makes the numpy type from
+it; a kernel then writes `m.tally.nis = 1.0`, which compiled is as quick as an index. At run time the object
+is a numpy scalar, a view into its block.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def dtype_of(kind: type[Record], **more: np.dtype[Any]) -> np.dtype[Any]:
 
     Args:
         kind: the class.
-        more: further fields behind its own.
+        more: further fields, placed after those of the class.
     """
     own = {name: _field(hint) for name, hint in get_type_hints(kind, include_extras=True).items()}
     return _named([(name, *field) for name, field in {**own, **{n: (t,) for n, t in more.items()}}.items()])
 
 
 def filled(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Records:
-    """A block (1,) of that type with every field given: numbers, arrays, or mappings for records inside.
+    """Make a block (1,) of a type from the values of all fields: numbers, arrays, or mappings for records.
 
     Raises:
         KeyError: a field without a value, or a value without a field.
@@ -63,12 +63,12 @@ def filled(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Records:
 
 
 def floats(records: Records) -> Array:
-    """The same numbers (n, floats of a record) as an array, of records that have no whole numbers."""
+    """View records without integer fields as an array (n, floats per record)."""
     return records.view(np.float64).reshape(len(records), records.itemsize // FLOAT_BYTES)
 
 
 def place(dtype: np.dtype[Any], path: str) -> int:
-    """Which float of the block a field begins at; `path` goes by dots, also into arrays (`pose.2`)."""
+    """Index of the first float of a field in the block; `path` is dotted, also into arrays (`pose.2`)."""
     offset = 0
     for name in path.split("."):
         if dtype.fields is None:
@@ -79,13 +79,13 @@ def place(dtype: np.dtype[Any], path: str) -> int:
 
 
 def part_of(dtype: np.dtype[Any], name: str) -> slice:
-    """Which floats of the block a field takes up."""
+    """Slice of the floats in the block that a field occupies."""
     begin = place(dtype, name)
     return slice(begin, begin + dtype[name].itemsize // FLOAT_BYTES)
 
 
 def _field(hint: Any) -> tuple[Any, ...]:
-    """Numpy type, and shape of an array, of a field."""
+    """Numpy type of a field, and its shape if it is an array."""
     if hint in (float, int):
         return (np.float64 if hint is float else np.int64,)
     if isinstance(hint, type) and issubclass(hint, Record):
@@ -95,7 +95,7 @@ def _field(hint: Any) -> tuple[Any, ...]:
 
 
 def _named(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
-    """Numpy type whose scalars have their fields as attributes; `np.record` has them five times slower."""
+    """Numpy type whose scalars have their fields as attributes; `np.record` is five times slower."""
     attributes = {name: property(itemgetter(name), _setter(name)) for name, *_ in fields}
     scalar = type("RecordView", (np.void,), attributes)
     return np.dtype((scalar, np.dtype(fields, align=True)))

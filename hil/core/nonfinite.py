@@ -15,15 +15,15 @@ from hil.core.signals import Status
 
 
 def unsaid_holes(kind: DeviceKind, sample: Any, not_measured: Collection[str] = ()) -> Iterator[str]:
-    """Names of the fields of a sample that hold NaN or infinity where its status says that they are good.
+    """Names of the fields of a sample that hold NaN or infinity although its status is OK.
 
-    An array or a tuple with as many rows as there are channels is judged row by row, everything else by all
-    channels together. In samples of this project only arrays are judged: a number of theirs may be NaN
-    because the device does not report it.
+    An array or a tuple with one row per channel is checked row by row, all other fields only where all
+    channels are good. In samples of this project only arrays are checked: a scalar may be NaN because the
+    device does not report it.
 
     Args:
-        kind: of the device.
-        sample: of it.
+        kind: the device's kind.
+        sample: a sample of the device.
         not_measured: fields that its model does not measure.
     """
     states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
@@ -49,7 +49,7 @@ def _rows(value: Any) -> int:
 
 
 def _finite(value: Any) -> bool:
-    """Whether no number in it is NaN or infinite."""
+    """Whether no number in a value is NaN or infinite, also inside tuples, mappings and dataclasses."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.dtype.kind != "f" or bool(np.isfinite(value).all())
     if isinstance(value, float):

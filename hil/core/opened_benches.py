@@ -1,6 +1,6 @@
-"""Shows every bench that this process opens to the one function that has asked for it.
+"""Calls registered functions with every bench that this process opens.
 
-In this way the pytest plugin reports and records a bench that a test opens by itself, and refuses one that
+The pytest plugin uses this to report and record a bench that a test opens by itself, and to refuse one that
 would move hardware which the command line does not name.
 """
 
@@ -16,9 +16,9 @@ _GUARDS: list[Callable[[Any, Any], object]] = []
 
 @contextmanager
 def shown_to(function: Callable[[Any], object]) -> Iterator[None]:
-    """Have `function` called with every `hil.Bench`, before its devices are opened, while this lasts.
+    """Call `function` with every `hil.Bench` of the block, before its devices are opened.
 
-    Within another one only the inner one is called.
+    Of nested blocks only the innermost function is called.
     """
     _ASKED.append(function)
     try:
@@ -28,17 +28,17 @@ def shown_to(function: Callable[[Any], object]) -> Iterator[None]:
 
 
 def show(bench: Any) -> None:
-    """Call the function that has asked last; does nothing where none has."""
+    """Call the innermost function of `shown_to`, if there is one."""
     if _ASKED:
         _ASKED[-1](bench)
 
 
 @contextmanager
 def guarded_by(function: Callable[[Any, Any], object]) -> Iterator[None]:
-    """Have `function` called before a bench is put together, while this lasts; it raises to refuse it.
+    """Call `function` before a bench of the block is built; it raises to refuse the bench.
 
-    It is given what the bench was asked for by (file, name or configuration), and the configuration that
-    comes of it. Within another one only the inner one is called.
+    Its arguments are the bench argument (file, name or configuration) and the resulting configuration. Of
+    nested blocks only the innermost function is called.
     """
     _GUARDS.append(function)
     try:
@@ -48,6 +48,6 @@ def guarded_by(function: Callable[[Any, Any], object]) -> Iterator[None]:
 
 
 def ask(given: Any, config: Any) -> None:
-    """Call the guard that was set last; does nothing where there is none."""
+    """Call the innermost function of `guarded_by`, if there is one."""
     if _GUARDS:
         _GUARDS[-1](given, config)

@@ -1,7 +1,6 @@
 """Turns exceptions from code of another package into errors that name the package.
 
-Nothing is translated for what this project ships: there a foreign exception is a defect, and its traceback
-is wanted.
+Exceptions from code of this project stay unchanged: they are defects, and need their traceback.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ T = TypeVar("T")
 
 
 class PackageError(DeviceError):
-    """Code of a package that adds a device has failed; `kind` is the device's."""
+    """Code of a package that adds a device has failed; `kind` is the device's kind."""
 
     def __init__(self, kind: str, package: str, message: str, *, expected: str = "") -> None:
         self.kind = kind
@@ -32,10 +31,10 @@ class PackageError(DeviceError):
 
 @contextmanager
 def of_a_script(what: str) -> Iterator[None]:
-    """Run a user's function; what it raises beside our own errors becomes a `ConfigError`.
+    """Run a user's function; an exception other than a `HilError` becomes a `ConfigError`.
 
     Args:
-        what: is run, for example `measurements of procedure square`.
+        what: the code that runs, for example `measurements of procedure square`.
     """
     try:
         yield
@@ -49,12 +48,12 @@ def of_a_script(what: str) -> Iterator[None]:
 
 @contextmanager
 def blamed(kind: str, package: str, what: str) -> Iterator[None]:
-    """Run code of a package; what it raises beside our own errors becomes a `PackageError`.
+    """Run code of a package; an exception other than a `HilError` becomes a `PackageError`.
 
     Args:
-        kind: of the device.
-        package: name and version, as `DeviceKind.package` and `DeviceModel.package` have it.
-        what: is run, for example `read()`.
+        kind: the device's kind.
+        package: name and version, as in `DeviceKind.package` and `DeviceModel.package`.
+        what: the code that runs, for example `read()`.
 
     Raises:
         PackageError: naming kind, package, what was run and the exception.
@@ -70,6 +69,6 @@ def blamed(kind: str, package: str, what: str) -> Iterator[None]:
 
 
 def asked(kind: str, package: str, what: str, call: Callable[..., T], *given: Any) -> T:
-    """What a function of a package gives, `blamed` on it if it fails."""
+    """Call a function of a package and return its result; exceptions are handled as in `blamed`."""
     with blamed(kind, package, what):
         return call(*given)

@@ -1,4 +1,4 @@
-"""The registry of all kinds and models of devices, shipped and of installed packages.
+"""Registry of all device kinds and models: the shipped ones and those of installed packages.
 
 The shipped kinds are packages of `hil.devices`, named like the fields of `hil.core.signals.Inputs`;
 each has its `DeviceKind` as `KIND`. An installed package adds kinds, or models to a kind, by entry points
@@ -36,9 +36,10 @@ _further = cache(FurtherKind)
 
 
 def is_name(name: object) -> bool:
-    """Whether a kind may be called so.
+    """Whether a name is valid for a kind.
 
-    `--emulate all`, the fault `plant:...` and the fields of `Inputs` that are no kinds mean something else.
+    `all` (`--emulate all`), `plant` (fault `plant:...`) and the fields of `Inputs` that are not kinds are
+    reserved.
     """
     return (
         isinstance(name, str)
@@ -49,10 +50,10 @@ def is_name(name: object) -> bool:
 
 
 def after_clash(package: str, what: str) -> str:
-    """What to do where the name of a kind or model is taken.
+    """Remedy for a name of a kind or model that is already in use.
 
     Args:
-        package: that has the name already.
+        package: package that uses the name already.
         what: `kind` or `model`.
     """
     if package == "hil":
@@ -61,7 +62,7 @@ def after_clash(package: str, what: str) -> str:
 
 
 def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> None:
-    """Add a kind that a package brings, and its models.
+    """Add a kind of a package, and its models.
 
     Args:
         found: kinds by name so far.
@@ -82,7 +83,7 @@ def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> Non
     for name in (kind.name, *kind.aliases):
         if name in taken:
             raise ConfigError(
-                f"device package {origin}: the kind {name} is there already ({taken[name].package})",
+                f"device package {origin}: the kind {name} exists already ({taken[name].package})",
                 remedy=after_clash(taken[name].package, "kind"),
             )
     if kind.moves_robot and not kind.holds_robot:
@@ -128,7 +129,7 @@ def add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> 
     kind = found.get(model.kind)
     if kind is None:
         raise ConfigError(
-            f"device package {origin}: model {model.name} is of the kind {model.kind}, which there is not",
+            f"device package {origin}: model {model.name} is of the kind {model.kind}, which does not exist",
             expected="one of " + ", ".join(found),
             remedy=did_you_mean(model.kind, found),
         )
@@ -157,7 +158,7 @@ def add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> 
 
 
 def _complete(item: DeviceKind | DeviceModel, names: tuple[str, ...], origin: str) -> None:
-    """Raise `ConfigError` for class attributes that every kind or model has to have."""
+    """Raise `ConfigError` for required class attributes that a kind or model lacks."""
     missing = [name for name in names if not hasattr(item, name)]
     if missing:
         base = "DeviceKind" if isinstance(item, DeviceKind) else "DeviceModel"
@@ -168,9 +169,10 @@ def _complete(item: DeviceKind | DeviceModel, names: tuple[str, ...], origin: st
 
 
 class Kinds(Mapping[str, DeviceKind]):
-    """Kinds by name; by `KIND_NAME` also what a further device of a kind is to the bench.
+    """Kinds by name; `KIND_NAME` gives the kind object of a further device.
 
-    Those cannot be listed: there are as many as names. A kind that moves or holds the robot has none.
+    Iteration does not list further devices, because their names are arbitrary. A kind that moves or holds the
+    robot has no further devices.
     """
 
     def __init__(self, known: dict[str, DeviceKind]) -> None:
@@ -193,7 +195,7 @@ class Kinds(Mapping[str, DeviceKind]):
 
 
 def may_be_twice(kind: DeviceKind) -> bool:
-    """Whether a bench may have several devices of a kind: not of what moves or holds the robot."""
+    """Whether a bench may have several devices of a kind; not if the kind moves or holds the robot."""
     return not (kind.moves_robot or kind.holds_robot)
 
 
@@ -219,15 +221,15 @@ def kinds() -> Kinds:
 
 
 def kind_of(name: str) -> DeviceKind | None:
-    """The kind of a name or alias, or a further device's; None where there is none."""
+    """The kind with this name or alias, or that of a further device; None if unknown."""
     return next((k for k in kinds().values() if name in (k.name, *k.aliases)), kinds().get(name))
 
 
 def which_device(word: str, known: Iterable[str]) -> str:
-    """A question that names the device a word may mean, by what people call it; empty where none is near.
+    """Hint such as "did you mean tracker?" for a word close to a name or alias of a device; else empty.
 
     Args:
-        word: that is none of them, for example `camera` or `trackr`.
+        word: the unknown word, for example `camera` or `trackr`.
         known: names of devices, for example `tracker`.
     """
     known = tuple(known)
@@ -243,18 +245,18 @@ def which_device(word: str, known: Iterable[str]) -> str:
 
 
 def further(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of further devices among those of a bench."""
+    """Names of further devices among the device names of a bench."""
     return tuple(name for name in names if isinstance(kinds().get(name), FurtherKind))
 
 
 def base_of(name: str) -> str:
-    """Name of the kind that a device of a bench is of, by the device's name."""
+    """Name of a device's kind, by the device's name."""
     kind = kinds()[name]
     return kind.of if isinstance(kind, FurtherKind) else name
 
 
 def heard_in(inputs: Inputs) -> tuple[str, ...]:
-    """Names under which `inputs` may hold samples: all kinds, and further devices."""
+    """Names under which `inputs` may hold samples: all kinds, and its further devices."""
     return (*kinds(), *further(inputs.added))
 
 

@@ -1,4 +1,4 @@
-"""The types that flow through the loop: samples, states, references, setpoints, cycle records.
+"""Data types of the loop: samples, states, references, setpoints, cycle records.
 
 Frozen dataclasses, SI units, unit and frame in the name. Wheel order is FL, BL, BR, FR everywhere
 (the paper's 1..4); an array over servos has the four drives first, then the four steers, each in
@@ -52,10 +52,10 @@ _ALL_OK = (_OK,) * len(SERVOS)
 
 @dataclass(frozen=True)
 class Stamp:
-    """When a sample was measured and when the host saw it.
+    """When a sample was measured and when the host received it.
 
     Attributes:
-        t_ns: best knowledge of the instant of measurement, on the bench clock.
+        t_ns: best estimate of the time of measurement, on the bench clock.
         host_ns: when the host received it, on the bench clock.
         seq: sequence number counted by the source (or the driver), never decreasing.
         device_ns: the device's own clock where it has one, else None.
@@ -92,7 +92,7 @@ class ServoSample:
 class ServoHealth:
     """Voltage (V) and temperature (degrees Celsius) of the servos: shape (8,), NaN where one did not answer.
 
-    Most cycles bring none: it comes once per `servos.health_period_s` (s; by default every second).
+    Most cycles have none: there is one per `servos.health_period_s` (s; by default every second).
     """
 
     stamp: Stamp
@@ -103,16 +103,16 @@ class ServoHealth:
 
 @dataclass(frozen=True)
 class ServoHold:
-    """What the servos say about holding the robot, when they were last looked after.
+    """Status of the servos for holding the robot, from the last `look_after`.
 
     Attributes:
-        t_ns: when that was.
+        t_ns: time of that status.
         position_rad: (8,), as in `ServoSample`; NaN where a servo did not answer.
-        trouble: what keeps a servo from holding, by its name in `SERVOS`; empty when all eight have torque
-            and a watchdog that waits.
-        wanted: whether they are to hold at all: from `enable` until `release`.
-        late: what is known of servos that answer, but too late for a cycle, by name.
-        released: whether torque was on and `release` has switched it off; `enable` leaves it as it is.
+        trouble: why a servo does not hold, by its name in `SERVOS`; empty when all eight have torque and an
+            armed watchdog.
+        wanted: whether they are commanded to hold: from `enable` until `release`.
+        late: description of servos that answer too late for a cycle, by name.
+        released: whether torque was on and `release` has switched it off; `enable` does not change it.
     """
 
     t_ns: int
@@ -142,7 +142,7 @@ class ImuSample:
         gyro_rad_s: shape (3,).
         linear_acceleration_m_s2: shape (3,), without gravity.
         gravity_m_s2: shape (3,), points **up** (specific force at rest), sensor frame.
-        calibration: (system, gyro, accelerometer, magnetometer), each 0..3, of a sensor that says so; else
+        calibration: (system, gyro, accelerometer, magnetometer), each 0..3, if the sensor reports it; else
             empty.
     """
 
@@ -156,7 +156,7 @@ class ImuSample:
 
     @property
     def specific_force_m_s2(self) -> Array:
-        """What an accelerometer feels, shape (3,): gravity, up, and acceleration."""
+        """Specific force, shape (3,), m/s^2: upward gravity plus linear acceleration."""
         return self.gravity_m_s2 + self.linear_acceleration_m_s2
 
 
@@ -191,15 +191,15 @@ class MocapSample:
 
 @dataclass(frozen=True)
 class AdhesionSample:
-    """What the fan's controller reports; NaN for what it has not reported yet, or no longer does.
+    """Report of the fan's controller; NaN for values that are not reported yet, or no longer.
 
     Attributes:
         speed_rpm: mechanical speed of the fan.
-        duty: share of the battery's voltage that the motor gets, -1..1.
-        motor_a, input_a: current of the motor, and that from the battery.
+        duty: motor voltage as a share of the battery voltage, -1..1.
+        motor_a, input_a: motor current and battery current.
         input_v: battery voltage at the controller.
         fet_c, motor_c: temperatures of power stage and motor.
-        trouble: what is wrong with how the fan is kept running, in words; empty for nothing.
+        trouble: problem with keeping the fan running, as a text; empty for none.
     """
 
     stamp: Stamp
@@ -219,9 +219,9 @@ class ThrustSample:
     """The propellers that carry part of the weight.
 
     Attributes:
-        throttle: 0..1, their force goes with its square: as it was sent last, NaN where this program has
-            sent none; where controllers report their speed, the share of full speed.
-        speed_rpm: where the controllers report it, their mean; else NaN.
+        throttle: 0..1; the force is proportional to its square. The last value sent, NaN where this program
+            has sent none; where controllers report their speed, the share of full speed.
+        speed_rpm: mean speed that the controllers report; else NaN.
     """
 
     stamp: Stamp
@@ -232,10 +232,10 @@ class ThrustSample:
 
 @dataclass(frozen=True)
 class LoadCellSample:
-    """The cells that measure with which force the fan presses; shape (2,), N, NaN where not OK.
+    """Load cells that measure the pressing force of the fan; shape (2,), N, NaN where not OK.
 
-    Cells have a zero of their own, which `hil.loop.checks.adhesion` takes off. `raw` holds the converter's
-    counts.
+    Each cell has a zero offset, which `hil.loop.checks.adhesion` subtracts. `raw` holds the counts of the
+    converter.
     """
 
     stamp: Stamp
@@ -267,10 +267,10 @@ class Inputs:
     added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     def of(self, kind: str) -> tuple[Any, ...]:
-        """Samples of a kind by its name; none of a kind that delivered nothing.
+        """Samples of a kind by its name; empty where it delivered nothing.
 
         Raises:
-            UsageError: the name of a field that is no kind, such as `health`.
+            UsageError: `kind` is a field that is not a kind, such as `health`.
         """
         if kind in _KNOWN:
             samples: tuple[Any, ...] = getattr(self, kind)
@@ -280,7 +280,7 @@ class Inputs:
 
 
 def worst(sample: Any) -> Status:
-    """OK where all of a sample can be used, else the first reason why not."""
+    """OK where all channels of a sample can be used, else the first other status."""
     status: Status | tuple[Status, ...] = sample.status
     if not isinstance(status, tuple):
         return status
@@ -290,23 +290,23 @@ def worst(sample: Any) -> Status:
 
 
 NO_KINDS = ("cycle", "t_ns", "health", "added")
-"""Fields of `Inputs` that are no kinds of devices; no kind may be called so."""
+"""Fields of `Inputs` that are not device kinds; reserved as names of kinds."""
 KINDS = tuple(f.name for f in fields(Inputs) if f.name not in NO_KINDS)
 """Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
 _KNOWN = frozenset(KINDS)
 
 
 def _must_be_no_field(kind: str) -> None:
-    """Refuse a field of `Inputs` where a kind is meant: it would never have delivered anything."""
+    """Refuse a field of `Inputs` as the name of a kind: it would never deliver samples."""
     if kind in NO_KINDS:
         raise UsageError(f"{kind} is no kind of devices", remedy=f"read it as `inputs.{kind}`")
 
 
 def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
-    """A function that takes the samples of a kind out of inputs: `Inputs.of` for a caller in every cycle.
+    """A function that gets the samples of a kind from inputs: a fast `Inputs.of` for use in every cycle.
 
     Raises:
-        UsageError: as of `Inputs.of`.
+        UsageError: as in `Inputs.of`.
     """
     if kind in _KNOWN:
         return attrgetter(kind)
@@ -363,7 +363,7 @@ class Measurements:
     """Aligned inputs of one cycle: what the estimator sees.
 
     Attributes:
-        added: `Inputs.added`, as it was delivered: for estimators of one's own. A recording holds it once.
+        added: `Inputs.added` unchanged, for user-supplied estimators. A recording stores it once.
     """
 
     cycle: int
@@ -376,7 +376,7 @@ class Measurements:
 
 
 def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:
-    """Sensors, by their fields of `Measurements`, of which there is any sample."""
+    """Names of the fields of `Measurements` (sensors) with at least one sample."""
     missing = ["wheels", "gyro", "tracker", "mocap"]
     found = dict.fromkeys(missing, False)
     for m in cycles:
@@ -429,7 +429,7 @@ class WheelSetpoint:
 
 @dataclass(frozen=True)
 class ServoSetpoint:
-    """What goes on the bus: drive velocity goals and steering position goals of the servos themselves."""
+    """Goals sent on the bus: drive velocities and steering positions in the servos' own convention."""
 
     drive_velocity_rad_s: Array
     steer_position_rad: Array
@@ -437,10 +437,10 @@ class ServoSetpoint:
 
 @dataclass(frozen=True)
 class Event:
-    """Something worth telling: a fault, a rejected sample, a stop, a mode change.
+    """A reported event: a fault, a rejected sample, a stop, a mode change.
 
-    `source` is the kind of the device that it is about. Where one of several kinds may be the cause, it holds
-    them all (`hil.core.suspects`).
+    `source` is the kind of the device concerned. Where one of several kinds may be the cause, it lists them
+    all (`hil.core.suspects`).
     """
 
     t_ns: int
@@ -450,7 +450,7 @@ class Event:
 
     @property
     def suspects(self) -> tuple[str, ...]:
-        """Kinds of devices that it is about."""
+        """Kinds of devices that the event concerns."""
         return tuple(self.source.split(SEPARATOR))
 
 
@@ -458,10 +458,10 @@ class Event:
 class CycleRecord:
     """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces.
 
-    `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is what
-    an emulated robot really did, where its world lives in this process: `t_ns`, `pose_body_in_wall` (3,),
+    `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is the
+    true state of an emulated robot whose world runs in this process: `t_ns`, `pose_body_in_wall` (3,),
     `steering_true_rad` (4,), `normal_load_n` (4,), `slip_m_s` (4, 2) along and across each wheel, `fallen`.
-    `external` is what a controller that is another program sent; None where there is none.
+    `external` holds the commands of a controller in another program; None without one.
     """
 
     cycle: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 SEPARATOR = ", "
-"""Between the kinds in the source of an event that may have several causes."""
+"""Separates the kinds in the source of an event that may have several causes."""
 _PRESSING = ("adhesion", "load_cells", "thrust")
 _BY_REASON: Mapping[str, tuple[str, ...]] = {
     "adhesion": _PRESSING,
@@ -21,12 +21,12 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = {
     "tracking": ("servos",),
     "heading": ("servos", "imu", "tracker"),
 }
-"""Of a reason that is not here, `stale_KIND` and `lost_KIND` accuse that kind, others none."""
+"""Reasons that are not listed: `stale_KIND` and `lost_KIND` imply that kind, others none."""
 _OF_ONE = ("stale_", "lost_")
 
 
 def suspects_of(reason: str) -> tuple[str, ...]:
-    """Kinds of devices that a stop for this reason accuses, whatever was found beside; empty for none."""
+    """Kinds of devices that the reason of a stop implies as possible causes; empty for none."""
     for begin in _OF_ONE:
         if reason.startswith(begin) and reason not in ("stale_estimate",):
             return (reason.removeprefix(begin),)
@@ -34,5 +34,5 @@ def suspects_of(reason: str) -> tuple[str, ...]:
 
 
 def together(names: Iterable[str]) -> str:
-    """The source of an event that one of several kinds of devices may have caused."""
+    """Join kinds into the source of an event that one of them may have caused."""
     return SEPARATOR.join(dict.fromkeys(names))

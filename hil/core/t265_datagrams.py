@@ -1,4 +1,4 @@
-"""Datagrams of an emulated T265: its poses between processes, laid out where both ends can see them.
+"""Format of the datagrams that carry the poses of an emulated T265 between processes; both ends use it.
 
 Little endian, each starts with `FEED_MAGIC` and a kind byte: `FEED_SUBSCRIBE` and `FEED_LEAVE` (client to
 camera, nothing more), `FEED_SETTINGS` (client to camera: JSON, `options` by librealsense's names and the

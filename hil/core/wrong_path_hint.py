@@ -14,10 +14,10 @@ _A_TEST = re.compile(r"^\s*(?:async )?def test_", re.M)
 
 
 def meant(path: Path) -> str:
-    """Which command a path is for: `it is a recording: hil replay a.mcap`; empty where that is not clear.
+    """Hint which command a path is for, e.g. `it is a recording: hil replay a.mcap`; empty if unclear.
 
     Args:
-        path: of a file or folder, which need not exist; what cannot be read says nothing.
+        path: file or folder; empty text for one that does not exist or cannot be read.
     """
     with suppress(OSError, ValueError):
         return _of_a_folder(path) if path.is_dir() else _of_a_file(path) if path.is_file() else ""

@@ -1,1 +1,1 @@
-"""What one control cycle is made of: devices read, data judged, aligned, decided on, sent."""
+"""The parts of a control cycle: reading devices, checking and aligning data, control, sending."""

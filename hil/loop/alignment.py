@@ -1,8 +1,7 @@
-"""Converts device samples to body measurements and back: the only place that knows zeros, signs and mounts.
+"""Converts device samples to body measurements and back; only this module applies zeros, signs and mounts.
 
-Everything before this module speaks the devices' own angles and frames, everything after it speaks
-the body and wall frames of `hil.core.signals`. Deterministic: output depends on the inputs seen since
-`reset` and on nothing else.
+Upstream of this module, angles and frames are the devices' own; downstream they are the body and wall frames
+of `hil.core.signals`. Deterministic: the output depends only on the inputs since `reset`.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class AlignmentParameters:
         drive_sign, steer_sign: (4,) of +-1, wheel order.
         steer_zero_rad: (4,) servo angle at which the wheel points along body x.
         tracker_scale: distance that the camera reports over the true distance.
-        on_wall: gravity lies in the motion plane.
+        on_wall: whether gravity lies in the motion plane.
     """
 
     drive_sign: tuple[int, ...] = (1, 1, 1, 1)
@@ -72,7 +71,7 @@ class Alignment:
         self.reset()
 
     def reset(self) -> None:
-        """Forget unwrapping state and the camera's start frame."""
+        """Clear the unwrapping state and the camera's start frame."""
         self._heading = Unwrapped()
         self._poses.reset()
 

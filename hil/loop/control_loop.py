@@ -1,17 +1,17 @@
 """The control loop: one cycle from devices to devices, at a fixed rate.
 
-`ControlLoop.run` adds devices, clock and sinks to what decides (`hil.loop.pipeline`). The numbers of a
-cycle's steps, here and there:
+`ControlLoop.run` connects the pipeline (`hil.loop.pipeline`) with devices, clock and sinks. The steps of a
+cycle, as numbered in both modules:
 
 1. read all devices (`DeviceSet.read`);
 2. align their samples (`Alignment.measure`);
-3. judge them (`Supervisor.check_samples`);
-4. estimate the state (`Estimator.update`), by observers, too;
-5. take the reference, and judge the estimate (`Supervisor.check_estimate`);
+3. check them (`Supervisor.check_samples`);
+4. estimate the state (`Estimator.update`), also by observers;
+5. get the reference, and check the estimate (`Supervisor.check_estimate`);
 6. control (`Controller.update`) within limits (`Supervisor.limit`);
-7. make goals of the servos of that (`Alignment.to_servos`);
+7. convert the setpoint to servo goals (`Alignment.to_servos`);
 8. send them (`Actuators.command`);
-9. hand the record to the sinks (`Sink.write`);
+9. pass the record to the sinks (`Sink.write`);
 10. sleep until the next deadline.
 """
 
@@ -44,15 +44,15 @@ from hil.loop.timing import Laps, LoopStatistics
 class ControlLoop:
     """Runs a pipeline on a rig at a fixed rate with absolute deadlines.
 
-    A missed deadline is counted; deadlines that have passed entirely are skipped on the grid, never
-    made up for in a burst. Whatever goes wrong, the actuators are stopped before the error leaves.
+    A missed deadline is counted; deadlines that have passed entirely are skipped, never made up for in a
+    burst. On any error the actuators are stopped before the error is raised.
 
     Args:
-        rig, clock, pipeline: devices, time, and what decides.
+        rig, clock, pipeline: devices, clock, and the pipeline that computes the commands.
         rate_hz: cycles per second.
         late_after_s: a start later than this after its deadline counts as late.
         sinks: receive every cycle.
-        truth: what an emulated robot really does, for the records only: nothing that decides sees it.
+        truth: true state of an emulated robot, for the records only; it is not used for control.
 
     Attributes:
         idle: called with the next deadline (ns) when a cycle is done; may use the time until then. None at
@@ -80,7 +80,7 @@ class ControlLoop:
         self._began_ns: int | None = None
 
     def run(self, until: Callable[[CycleRecord], bool]) -> None:
-        """Cycle until `until(record)` says so; always asks the robot to stop."""
+        """Run cycles until `until(record)` is true; always stops the robot at the end."""
         deadline_ns = self.clock.now_ns()
         self._began_ns = None
         try:
@@ -100,7 +100,7 @@ class ControlLoop:
             self._rest()
 
     def cycle(self, deadline_ns: int) -> CycleRecord:
-        """One pass through the loop; `timing_ns["sinks"]` of a record is the previous cycle's."""
+        """Run one cycle; `timing_ns["sinks"]` of its record is that of the previous cycle."""
         start_ns = self.clock.now_ns()
         laps = Laps(self.clock, start_ns)
         lap = laps.done
@@ -138,7 +138,7 @@ class ControlLoop:
         return record
 
     def _read(self, start_ns: int) -> Inputs:
-        """Drain every device; after a long pause a silent one is not blamed before the loop itself."""
+        """Read every device; after a long pause of the loop a time-out is reported as `held_up`."""
         before_ns, self._began_ns = self._began_ns, start_ns
         try:
             return self.rig.read(self._cycle)
@@ -151,7 +151,7 @@ class ControlLoop:
             raise stop from error
 
     def _rest(self) -> None:
-        """Let sinks' threads have the interpreter now: beside a cycle they would make it longer."""
+        """Let threads of sinks run now; during a cycle they would delay it."""
         for sink in self.sinks:
             sink.rest()
 
@@ -182,7 +182,7 @@ class ControlLoop:
         return following
 
     def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
-        """Hold the robot at once and leave a last record: the reason, and what the checks measured."""
+        """Stop the robot at once and write a last record with the reason and the checks' figures."""
         if self.rig.servos is not None:
             self.rig.servos.stop()
         if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:

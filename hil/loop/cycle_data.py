@@ -12,20 +12,20 @@ from hil.core.signals import Event, Inputs, Measurements, Reference, RobotState,
 from hil.core.suspects import suspects_of
 
 Inflation = tuple[float, float]
-"""By how much an estimate may be off: m along each axis, rad of the heading."""
+"""Largest error of an estimate: m along each axis, rad of the heading."""
 NO_INFLATION: Inflation = (0.0, 0.0)
 _PAUSED, _STALE = "held_up", "stale_"
-"""After a long pause of the loop itself, devices that nothing asked meanwhile are no silent ones."""
+"""After a long pause of the loop itself, devices that were not read meanwhile do not count as silent."""
 
 
 @dataclass
 class LastCycle:
-    """All that one cycle leaves to the next.
+    """Data that one cycle passes to the next.
 
     Attributes:
-        heading_rad: of the estimate.
-        wheel_rate_rad_s: (4,) as commanded.
-        inflation: of the estimate, by what was found about it.
+        heading_rad: heading of the estimate.
+        wheel_rate_rad_s: (4,) commanded wheel rates.
+        inflation: inflation for the next estimate, from checks of this one.
     """
 
     heading_rad: float = 0.0
@@ -35,22 +35,22 @@ class LastCycle:
 
 @dataclass
 class Cycle:
-    """What checks see of a cycle, and where they report.
+    """The input of the checks in a cycle, and their results.
 
     Attributes:
         inputs: samples of all devices.
-        measurements: the same, aligned in the body frame.
-        last: what the cycle before has left.
-        state, reference, observers: estimate, reference and estimates that are not followed; there once the
-            estimate has been made.
-        inflation: of the estimate of this cycle.
-        events: reported in this cycle.
-        stops: by reason, the messages of what the robot must stop for; the first reason names the stop.
+        measurements: the same samples, aligned in the body frame.
+        last: data from the previous cycle.
+        state, reference, observers: estimate, reference, and estimates that are not followed; set after the
+            estimate.
+        inflation: inflation of this cycle's estimate.
+        events: events of this cycle.
+        stops: messages of stop conditions, by reason; the first reason names the stop.
         suspects: devices that the messages name.
-        diagnostics: figures by name, which go into the robot's state (`RobotState.diagnostics`): what
-            `on_samples` has put there.
-        next_inflation: of the estimate of the next cycle.
-        source: the device whose check runs; empty for the bench's own.
+        diagnostics: figures by name that `on_samples` added, for the robot's state
+            (`RobotState.diagnostics`).
+        next_inflation: inflation of the next cycle's estimate.
+        source: the device whose check runs; empty for checks of the bench.
     """
 
     inputs: Inputs
@@ -68,12 +68,12 @@ class Cycle:
     source: str = ""
 
     def stop(self, reason: str, message: str, suspects: Iterable[str] = ()) -> None:
-        """The robot must stop.
+        """Report a condition for which the robot must stop.
 
         Args:
-            reason: one word, `snake_case`: it names the stop in results and on pages.
+            reason: one word in `snake_case`; names the stop in results and on pages.
             message: what was found, and what to do.
-            suspects: devices that may be the cause, beside those that the reason names.
+            suspects: devices that may be the cause, besides those that the reason implies.
         """
         known = self.stops.get(reason)
         self.stops[reason] = message if known is None else f"{known}; {message}"
@@ -82,19 +82,19 @@ class Cycle:
             self.suspects.add(self.source)
 
     def warn(self, message: str) -> None:
-        """Report something for which the robot need not stop."""
+        """Report a warning for which the robot need not stop."""
         self.events.append(Event(self.inputs.t_ns, "warning", self.source, message))
 
     def inflate(self, off_m: float, off_rad: float) -> None:
-        """The estimate of this cycle may be off by so much."""
+        """Report the largest error of this cycle's estimate (m, rad)."""
         self.inflation = (max(self.inflation[0], off_m), max(self.inflation[1], off_rad))
 
     def inflate_next(self, off: Inflation) -> None:
-        """The estimate of the next cycle may be off by so much."""
+        """Report the largest error of the next cycle's estimate (m, rad)."""
         self.next_inflation = (max(self.next_inflation[0], off[0]), max(self.next_inflation[1], off[1]))
 
     def must_go_on(self, context: str) -> None:
-        """Raise one `SafetyStop` for all that was found; `context` ends its message."""
+        """Raise one `SafetyStop` for all stop conditions, if there are any; `context` ends its message."""
         if _PAUSED in self.stops:
             self.stops = {k: v for k, v in self.stops.items() if not k.startswith(_STALE)}
         if self.stops:
@@ -105,38 +105,38 @@ class Cycle:
 
 
 def go_on(reason: str, message: str) -> None:
-    """In place of `Cycle.stop` where the robot need not stop: the event of the finding is enough."""
+    """Does nothing; used in place of `Cycle.stop` where the event alone is enough."""
 
 
 class Check:
     """Base of all checks: each overrides one of the two methods, or both.
 
-    A check depends on the cycles since `reset` and on nothing else, so that replay finds the same. It reports
-    by `Cycle.stop`, `Cycle.warn`, `Cycle.events` and the two inflations. It does not know the loop.
+    A check depends only on the cycles since `reset`, so that replay gives the same result. It reports by
+    `Cycle.stop`, `Cycle.warn`, `Cycle.events` and the two inflations. It has no access to the loop.
     """
 
     def reset(self) -> None:
-        """Forget all that was seen in the run."""
+        """Clear the state of the run."""
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Judge what the devices delivered, before the estimate."""
+        """Check the devices' samples, before the estimate."""
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Judge the estimate, before anything is commanded."""
+        """Check the estimate, before commands are computed."""
 
 
 class LastingCheck(Check):
-    """Stops once good samples of one kind have been wrong for a while; others do not count.
+    """Stops when good samples of one kind have shown a fault for a while; other samples do not count.
 
     Samples of `servos` have angles, rates and currents. Voltages and temperatures of the servos come in
-    `cycle.inputs.health`, once per `servos.health_period_s` (s), and health is no kind: a check of these is a
-    `Check` that reads them there.
+    `cycle.inputs.health`, once per `servos.health_period_s` (s), and health is not a kind: to check it,
+    derive from `Check` and read it there.
 
     Args:
-        kind: of the device.
+        kind: the device's kind.
         reason: names the stop.
-        wrong: what is wrong with a sample, in words; empty where nothing is.
-        for_s: for how long without a sample that is right; 0 for the first one that is wrong.
+        wrong: text on the fault that a sample shows; empty for none.
+        for_s: duration without a sample free of the fault, s; 0 to stop at the first faulty one.
     """
 
     def __init__(self, kind: str, reason: str, wrong: Callable[[Any], str], for_s: float = 0.0) -> None:
@@ -145,11 +145,11 @@ class LastingCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen in the run."""
+        """Clear the state of the run."""
         self._since_ns: int | None = None
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Look at the samples of its kind."""
+        """Check the samples of its kind."""
         for sample in cycle.inputs.of(self.kind):
             if worst(sample) is not Status.OK:
                 continue

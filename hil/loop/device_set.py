@@ -1,4 +1,4 @@
-"""All devices of a bench as one thing: opened in order, drained once per cycle, always closed."""
+"""All devices of a bench together: opened in order, read once per cycle, always closed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.core.signals import KINDS, Inputs
 
 _NOTHING: tuple[Any, ...] = ()
 _UNHEARD = {kind: _NOTHING for kind in KINDS if kind != "servos"}
-"""Samples of each kind of sensor that this package knows, in the order of `Inputs`, before it is read."""
+"""Empty samples of each kind of sensor that this package knows, in the order of `Inputs`."""
 
 
 @dataclass
@@ -23,9 +23,9 @@ class DeviceSet:
 
     Attributes:
         clock: the bench clock.
-        servos: what moves the robot; None where the bench has none.
-        sensors: the other devices by kind, in the order in which they are opened and drained; what holds the
-            robot (`DeviceKind.holds`) is among them, and comes first.
+        servos: driver of the servos; None where the bench has none.
+        sensors: the other devices by kind, in the order in which they are opened and read; devices that hold
+            the robot (`DeviceKind.holds_robot`) are among them, and come first.
     """
 
     clock: Clock
@@ -33,11 +33,11 @@ class DeviceSet:
     sensors: Mapping[str, Sensor[Any]] = field(default_factory=dict)
 
     def get(self, kind: str) -> Any:
-        """The device of a kind; None where the bench lacks it."""
+        """The device of a kind; None if the bench has none."""
         return self.sensors.get(kind, self.servos if kind == "servos" else None)
 
     def devices(self) -> tuple[Device, ...]:
-        """Present devices: what holds the robot first, servos last: nothing moves before sensors answer."""
+        """Devices in order: those that hold the robot first, servos last: no motion before sensors answer."""
         return (*self.sensors.values(), *(() if self.servos is None else (self.servos,)))
 
     def open(self) -> None:
@@ -53,12 +53,12 @@ class DeviceSet:
             raise
 
     def close(self) -> None:
-        """Close every device, servos first, what holds the robot last; a fan blows on when it is closed."""
+        """Close every device: servos first, devices that hold the robot last; a closed fan keeps running."""
         for device in reversed(self.devices()):
             device.close()
 
     def read(self, cycle: int) -> Inputs:
-        """Drain every device once, the others while the servos answer; `t_ns` is when the reading began."""
+        """Read every device once, the others while the servos answer; `t_ns` is the time of the start."""
         t_ns = self.clock.now_ns()
         servos, read, health = self.servos, _NOTHING, _NOTHING
         if servos is not None:
@@ -73,13 +73,13 @@ class DeviceSet:
         return Inputs(*values)
 
     def brace(self) -> None:
-        """Have what holds the robot hold as firmly as it may. Never raises."""
+        """Raise the force of all devices that hold the robot to the permitted maximum. Never raises."""
         for kind, device in self.sensors.items():
             if kinds()[kind].holds_robot:
                 cast("Holding[Any]", device).brace()
 
     def actuators(self) -> Actuators:
-        """The servos, or a `DeviceError` when the bench has none."""
+        """The servos. Raises `DeviceError` if the bench has none."""
         if self.servos is None:
             raise DeviceError(
                 "servos", "the bench has no servos", remedy="add a [servos] section to the bench file"

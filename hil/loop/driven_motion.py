@@ -1,4 +1,4 @@
-"""One driven or observed stretch of time: its cycle records, and arrays taken from them."""
+"""One driven or observed motion: its cycle records, and arrays made from them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from hil.core.interpolation import between_samples
 from hil.core.signals import CycleRecord, Event
 
 LONGEST_GAP_S = 0.25
-"""Gap between samples of motion capture that is still interpolated.
+"""Longest gap between samples of motion capture that is interpolated.
 
-Sound capture systems lose the body for up to 0.2 s. A straight line across 0.25 s is off by at most 1.6 mm
-where references are followed (0.2 m/s^2).
+Healthy capture systems lose the body for up to 0.2 s. Linear interpolation across 0.25 s is off by at
+most 1.6 mm for followed references (0.2 m/s^2).
 """
 HELD_S = 0.1
-"""For how long the last sample counts: a frame on its way, a cycle, and a common gap (0.08 s) before it."""
+"""How long the last sample is used, s: a frame in transit, a cycle, and a common gap (0.08 s) before it."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class Motion:
 
     @property
     def mocap(self) -> Array:
-        """Motion-capture poses interpolated to the cycle times, shape (n, 3); NaN where it saw nothing.
+        """Motion-capture poses interpolated to the cycle times, shape (n, 3); NaN without samples.
 
-        That is before the first sample, inside gaps longer than `LONGEST_GAP_S`, and from `HELD_S` after the
-        last sample on.
+        That is before the first sample, inside gaps longer than `LONGEST_GAP_S`, and more than `HELD_S` after
+        the last sample.
         """
         found = [m for r in self.records for m in r.measurements.mocap if m.valid]
         at_ns = np.array([m.stamp.t_ns for m in found], dtype=np.float64)
@@ -91,10 +91,10 @@ class Motion:
         return np.array([r.state.diagnostics.get(name, np.nan) for r in self.records])
 
     def observer(self, name: str) -> Array:
-        """Poses of a further estimator that ran beside the one in the loop, (n, 3).
+        """Poses of a further estimator that ran in parallel with the one in the loop, (n, 3).
 
         Raises:
-            UsageError: none of that name ran.
+            UsageError: no estimator of that name ran.
         """
         ran = dict.fromkeys(one for r in self.records for one in r.observers)
         if self.records and name not in ran:

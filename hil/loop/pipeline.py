@@ -1,4 +1,4 @@
-"""The deterministic part of a cycle: all that lies between reading and sending, by itself.
+"""The deterministic part of a cycle: all steps between reading and sending.
 
 `ControlPipeline.decide` is a function of the inputs and its own state, so a recording's inputs fed back
 through it reproduce the recorded setpoints exactly (`hil replay`).
@@ -37,7 +37,7 @@ OUTSIDE = "loop"
 
 _OWN = ""
 _DOUBTED_M_S, _DOUBTED_RAD_S = 0.05, 0.1
-"""By how much speeds from a device with wrong values may be off."""
+"""Largest error of speeds from a device with wrong values, m/s and rad/s."""
 
 ReferenceAt = Callable[[float], Reference]
 Lap = Callable[[str], None]
@@ -45,7 +45,7 @@ Lap = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Decision:
-    """What the pipeline made of one cycle's inputs."""
+    """Result of the pipeline for one cycle."""
 
     measurements: Measurements
     state: RobotState
@@ -64,18 +64,18 @@ def _untimed(section: str) -> None:
 class ControlPipeline:
     """Supervisor, alignment, estimator and controller in their fixed order.
 
-    Estimator, controller and observers may be of one's own: `hil.loop.user_parts` checks what they return.
+    Estimator, controller and observers may be user-supplied: `hil.loop.user_parts` checks their results.
 
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.
         observers: further estimators that run on the same measurements; their states are recorded.
-        restart: how it goes on after the loop stood still; None where the wheels go on meanwhile.
-        external: another program that drives in place of `controller`; None without.
+        restart: resumes the motion after a pause of the loop; None where the wheels keep turning meanwhile.
+        external: another program that drives in place of `controller`; None without one.
 
     Attributes:
-        estimator, controller, observers: may be exchanged before a run.
-        reference: of the latest cycle, also when that ended in a `SafetyStop`.
-        figures: what the checks measured in that cycle (`Cycle.diagnostics`), by name.
+        estimator, controller, observers: may be replaced before a run.
+        reference: reference of the latest cycle, also when that ended in a `SafetyStop`.
+        figures: figures of the checks in that cycle (`Cycle.diagnostics`), by name.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class ControlPipeline:
         self._ask()
 
     def _ask(self) -> None:
-        """Find out how each part is asked: those of one's own are checked."""
+        """Bind the update function of each part; results of user-supplied parts are checked."""
         self._estimate = asked(self.estimator)
         self._observe = {name: asked(observer) for name, observer in self.observers.items()}
         self.supervisor.observers.checked = tuple(n for n, one in self.observers.items() if own_name(one))
@@ -130,12 +130,12 @@ class ControlPipeline:
         """Steps 2 to 7 of a cycle, as `hil.loop.control_loop` counts them.
 
         Args:
-            inputs: what the devices delivered.
-            lap: called when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
+            inputs: samples of all devices.
+            lap: called when `estimate` (2 to 4) and `control` (5 to 7) are done, to measure durations.
 
         Raises:
             SafetyStop: the robot must be held.
-            UsageError: an estimator or a controller has returned something else than a state or setpoints.
+            UsageError: an estimator returned no state, or a controller no setpoints.
         """
         self.reference, self.figures = None, {}
         if self.external is not None:
@@ -174,7 +174,7 @@ class ControlPipeline:
         )
 
     def _run_s(self, t_ns: int) -> float:
-        """The reference's time: from the first cycle on, or from when another program has begun to drive."""
+        """Time of the reference, s: since the first cycle, or since another program began to drive."""
         t0_ns = t_ns if self._t0_ns is None else self._t0_ns
         if self.external is not None and not self.external.begun:
             self._waited_ns += t_ns - t0_ns
@@ -183,11 +183,11 @@ class ControlPipeline:
         return (t_ns - t0_ns) / NS_PER_S
 
     def _inflate(self, off_m: float, off_rad: float) -> None:
-        """Widen the covariance of the last states by what a device with wrong values may have caused.
+        """Increase the covariance of the last states by the possible effect of a device with wrong values.
 
         Args:
-            off_m: along each axis.
-            off_rad: of the heading.
+            off_m: largest error along each axis, m.
+            off_rad: largest error of the heading, rad.
         """
         more = np.array([off_m, off_m, off_rad, _DOUBTED_M_S, _DOUBTED_M_S, _DOUBTED_RAD_S])
         for name, estimator in {_OWN: self.estimator, **self.observers}.items():
@@ -220,16 +220,16 @@ class ControlPipeline:
 
     @property
     def heard(self) -> ExternalCommands | None:
-        """What another program that drives sent in the latest cycle."""
+        """Commands of an external program in the latest cycle; None without one."""
         return None if self.external is None else self.external.heard
 
     @property
     def waited_ns(self) -> int:
-        """By how much the reference is behind the clock: the loop stood still, or a program had not begun."""
+        """Delay of the reference, ns: because the loop paused, or a program had not begun."""
         return self._waited_ns + (0 if self.restart is None else self.restart.waited_ns)
 
     def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
-        """Newest wheels; where a steering angle was not read, with the last one that was."""
+        """Newest wheel measurement; missing steering angles are replaced by the last ones read."""
         steering = wheels.steering_rad
         if not math.isfinite(sum(steering.tolist())):
             steering = np.where(np.isfinite(steering), steering, self._steering)
@@ -239,7 +239,7 @@ class ControlPipeline:
 
 
 def _before_control(cycle: Cycle, state: RobotState) -> CycleRecord:
-    """A cycle as far as it has come when its command is asked for."""
+    """Record of a cycle before its command is computed; setpoint and command are zero."""
     t_ns, zero = cycle.inputs.t_ns, np.zeros(4)
     return CycleRecord(
         cycle.inputs.cycle,
@@ -257,7 +257,7 @@ def _before_control(cycle: Cycle, state: RobotState) -> CycleRecord:
 
 
 def _with_figures(state: RobotState, figures: Mapping[str, float]) -> RobotState:
-    """The state with what the checks measured."""
+    """The state with the figures of the checks added."""
     return RobotState(
         state.t_ns,
         state.pose_body_in_wall,

@@ -1,4 +1,4 @@
-"""Poses of the camera and of motion capture as poses of the body: mounts, scale, start frame, unwrapping."""
+"""Converts poses of camera and motion capture to body poses: mounts, scale, start frame, unwrapping."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _NOWHERE = np.full(3, np.nan)
 _OK, _RESET = Status.OK, Status.RESET
 _USABLE = (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
 
-# A camera (15,): where it is on the body and how it is turned there, the scale of its distances, where it
-# began and how it was turned then, conjugated.
+# A camera (15,): position and attitude on the body, scale of its distances, position at the start, and
+# conjugated attitude at the start.
 _PLACE, _TURN, _SCALE, _START, _BACK = 0, 3, 7, 8, 11
 
 
@@ -33,17 +33,17 @@ class Mount:
 
 
 AT_ORIGIN = Mount()
-"""Of a sensor at the body's origin, along its axes."""
+"""Mount of a sensor at the body's origin, along the body's axes."""
 
 
 class Unwrapped:
-    """An angle that is followed over its turns."""
+    """An angle that is unwrapped over several turns."""
 
     def __init__(self) -> None:
         self._last_rad: float | None = None
 
     def follow(self, angle_rad: float) -> float:
-        """The next value, within half a turn of the one before; NaN stays NaN and is not followed."""
+        """Unwrap the next value, within half a turn of the previous one; NaN stays NaN and is skipped."""
         if not math.isfinite(angle_rad):
             return math.nan
         last_rad = angle_rad if self._last_rad is None else self._last_rad
@@ -52,10 +52,10 @@ class Unwrapped:
 
 
 class PoseAlignment:
-    """Turns pose samples into measurements of the body.
+    """Converts pose samples to measurements of the body.
 
     Args:
-        mount: of the camera.
+        mount: mount of the camera.
         scale: distance that the camera reports over the true distance.
     """
 
@@ -65,7 +65,7 @@ class PoseAlignment:
         self.reset()
 
     def reset(self) -> None:
-        """Forget unwrapping state and the camera's start frame."""
+        """Clear the unwrapping state and the camera's start frame."""
         self._mocap_yaw = Unwrapped()
         self._forget_start()
 
@@ -79,11 +79,10 @@ class PoseAlignment:
         return tuple([m for m in camera if m is not None]), tuple([self._mocap(s) for s in inputs.mocap])
 
     def _tracker(self, sample: TrackerSample) -> PoseMeasurement | None:
-        """The body's pose in the frame of the first good one; None without a usable one.
+        """Body pose in the frame of the first good pose; None without a usable pose.
 
-        A camera that has started again has another frame. Where it looks up a wall, that is turned about
-        the vertical by any angle. It begins with the next good pose; the reset itself is reported as a
-        pose that is not valid.
+        A restarted camera has a new frame; if it points up a wall, this is rotated about the vertical by any
+        angle. The new frame begins with the next good pose; the restart itself gives an invalid pose.
         """
         status = sample.status
         if status is _RESET:
@@ -115,9 +114,9 @@ class PoseAlignment:
 
 @inner
 def _is_pose(x_m: float, y_m: float, z_m: float, w: float, x: float, y: float, z: float) -> bool:
-    """Whether it can be one: on any wall that there is, and turned by a unit quaternion as devices send them.
+    """Whether a pose is plausible: position within any real wall, and quaternion of unit length.
 
-    What is none would spoil every later heading.
+    An implausible pose would corrupt every later heading.
     """
     return (
         -_FARTHEST_M < x_m < _FARTHEST_M
@@ -129,7 +128,7 @@ def _is_pose(x_m: float, y_m: float, z_m: float, w: float, x: float, y: float, z
 
 @inner
 def _yaw(w: float, z: float) -> float:
-    """As `yaw_of_quat` of a quaternion with these parts."""
+    """As `yaw_of_quat`, from the components w and z of a quaternion."""
     return wrap(2.0 * math.atan2(z, w))
 
 
@@ -137,17 +136,17 @@ def _yaw(w: float, z: float) -> float:
 def _seen_from(
     camera: Array, px: float, py: float, pz: float, w: float, x: float, y: float, z: float
 ) -> Three:
-    """The body beside where it was when the camera began, in the body's axes of then.
+    """Body pose relative to that at the camera's start, in the body axes at the start.
 
     Args:
-        camera: (15,).
-        px: position of the camera in its own frame, m.
-        py: to the left.
-        pz: upwards.
-        w: attitude of the camera in its own frame.
-        x: of the quaternion.
-        y: of the quaternion.
-        z: of the quaternion.
+        camera: (15,) camera data.
+        px: position of the camera in its own frame, x, m.
+        py: y (left), m.
+        pz: z (up), m.
+        w: attitude quaternion of the camera in its own frame, w.
+        x: component x.
+        y: component y.
+        z: component z.
 
     Returns:
         x and y (m) and heading (rad); NaN where the camera gives no pose.

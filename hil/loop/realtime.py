@@ -1,8 +1,8 @@
-"""Real time on an ordinary kernel: scheduler, interpreter, collector, and code loaded beforehand.
+"""Real time on a standard kernel: scheduler, interpreter, garbage collector, and code loaded in advance.
 
-`with RealTime(clock, fifo_priority=..., cpu=...) as real_time:` holds around the loop, as often as one
-likes; the loop calls `real_time.idle(deadline_ns)` when a cycle is done. Whatever the system refuses is
-a warning that says what to do, never an error: the loop also runs without.
+`with RealTime(clock, fifo_priority=..., cpu=...) as real_time:` encloses the loop and may be entered
+repeatedly; the loop calls `real_time.idle(deadline_ns)` when a cycle is done. A setting that the system
+refuses gives a warning with a remedy, never an error: the loop also runs without it.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ _WARM_UP_CYCLES = 5
 class RealTime:
     """Scheduling and garbage collection of the calling thread while the context is open.
 
-    Memory that exists at the start is taken out of the collector's sight; from then on it collects
-    only in time that a cycle has left. A sink that keeps every record makes a full collection longer than any
-    cycle: it is expected to take as long as the last one and 1.5 us (measured) for each object that has
-    come since, and is left out where that does not fit. The interpreter hands its lock over more often, so
-    that a sink's thread delays a cycle by a fifth of a millisecond at a time.
+    Objects that exist at the start are excluded from garbage collection; from then on the collector runs only
+    in the idle time of a cycle. With a sink that keeps every record, a full collection takes longer than a
+    cycle: its expected duration is that of the last one plus 1.5 us (measured) for each new object, and it is
+    skipped if that does not fit. The interpreter releases its lock more often, so that a sink's thread delays
+    a cycle by at most a fifth of a millisecond at a time.
 
     Args:
         clock: the loop's clock.
         fifo_priority: `SCHED_FIFO` priority 1..99; None leaves the scheduler alone.
-        cpu: processor to stay on; None for any.
+        cpu: CPU to pin the thread to; None for any.
 
     Attributes:
-        warnings: what was refused, and what to do about it.
+        warnings: refused settings, and remedies.
         collections: how often the collector ran in idle time.
     """
 
@@ -98,7 +98,7 @@ class RealTime:
             self._undo.pop()()
 
     def idle(self, deadline_ns: int) -> None:
-        """Collect garbage if that is due and fits into the time before the next cycle."""
+        """Collect garbage if it is due and fits into the time before the next cycle."""
         now_ns = self._clock.now_ns()
         slack_ns = deadline_ns - now_ns
         new_ns = _PER_OBJECT_NS * gc.get_count()[0]
@@ -115,7 +115,7 @@ class RealTime:
         self.collections += 1
 
     def _refused(self, warning: str) -> None:
-        """Say it once, however often the context is entered."""
+        """Add a warning once, even if the context is entered repeatedly."""
         if warning not in self.warnings:
             self.warnings.append(warning)
             LOG.warning("%s", warning)
@@ -135,7 +135,7 @@ class RealTime:
         self._undo.append(lambda: os.sched_setaffinity(0, before))
 
     def _go_first(self) -> None:
-        """Go before other programs where that is allowed; a refusal is no warning."""
+        """Raise the priority above that of other programs if permitted; a refusal gives no warning."""
         before = os.getpriority(os.PRIO_PROCESS, 0)
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, min(before, _NICE))
@@ -161,12 +161,12 @@ class RealTime:
 def idle_loop(
     clock: Clock, real_time: RealTime, *, seconds: float, rate_hz: float, late_after_s: float = 0.001
 ) -> LoopStatistics:
-    """Punctuality of a loop that sleeps until each deadline and does nothing: what the machine itself costs.
+    """Timing statistics of a loop that only sleeps until each deadline: the jitter of the computer itself.
 
     Args:
-        clock: the host's.
-        real_time: scheduling as of the loop that is to be compared; held around this one.
-        seconds: how long.
+        clock: the host's clock.
+        real_time: same scheduling as the loop to compare with; entered around this loop.
+        seconds: duration, s.
         rate_hz: cycles per second.
         late_after_s: a start later than this after its deadline counts as late.
     """
@@ -187,11 +187,11 @@ def idle_loop(
 def warm_up(pipeline: ControlPipeline, start: RobotState) -> None:
     """Run a pipeline for a few cycles on made-up inputs at rest, so that all its code is compiled and loaded.
 
-    Loading compiled estimators takes some tenths of a second: longer than servos may be left alone.
+    Loading compiled estimators takes some tenths of a second: longer than servos may be without commands.
 
     Args:
-        pipeline: reset to `start` before and after.
-        start: where the robot stands, at or before the first cycle.
+        pipeline: is reset to `start` before and after.
+        start: state of the robot at rest, at or before the first cycle.
     """
     pipeline.reset(start)
     for k in range(1, _WARM_UP_CYCLES + 1):

@@ -1,8 +1,8 @@
-"""Resumes the motion after a pause of the loop that has stopped the wheels: slowly, from the present pose.
+"""Resumes the motion from rest after a pause of the loop in which the wheels were stopped.
 
-Meanwhile the servos' bus watchdogs have stopped the wheels. So the reference waits, too, and starts again
-from rest; no wheel is commanded faster than the limit of acceleration takes it there, nor much faster
-than it really turns. Deterministic: depends on the times of the cycles and on the measured wheels.
+The servos' bus watchdogs stop the wheels during the pause. So the reference waits, too, and starts again from
+rest; no wheel is commanded faster than the acceleration limit permits, nor much faster than it is measured to
+turn. Deterministic: depends only on the times of the cycles and on the measured wheels.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from hil.core.geometry import Array, rotation2
 from hil.core.signals import Reference, WheelMeasurement, WheelSetpoint
 
 _LAGS = 2.0
-"""A wheel may be commanded faster than it turns by what its acceleration gives in so many servo lags."""
+"""Permitted lead of the commanded wheel speed, as acceleration times this number of servo lags."""
 
 
 class Restart:
-    """Follows the cycles of one run.
+    """Delays and restarts the reference of one run.
 
     Args:
-        after_s: of silence on their bus, after which the servos stop the wheels.
-        acceleration_m_s2: limit of any wheel.
-        speed_m_s: the same of its speed.
-        lag_s: of the servos.
-        radius_m: (4,) of the wheels.
+        after_s: bus silence after which the servos stop the wheels, s.
+        acceleration_m_s2: acceleration limit of a wheel.
+        speed_m_s: speed limit of a wheel.
+        lag_s: lag of the servos.
+        radius_m: (4,) wheel radii.
 
     Attributes:
-        waited_ns: by how much the reference is behind the clock since `reset`.
+        waited_ns: total delay of the reference since `reset`.
     """
 
     def __init__(
@@ -43,14 +43,14 @@ class Restart:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen before."""
+        """Clear the state of the run."""
         self.waited_ns = 0
         self._last_ns: int | None = None
         self._pace, self._quicker, self._step_s = 1.0, 0.0, 0.0
         self._most_m_s: float | None = None
 
     def judge(self, t_ns: int) -> None:
-        """Take the time of a cycle."""
+        """Process the time of a cycle; after a pause, delay the reference."""
         step_ns = 0 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns, self._step_s = t_ns, step_ns / NS_PER_S
         if step_ns > self._after_ns:
@@ -65,10 +65,10 @@ class Restart:
             self._quicker = 0.0
 
     def paced(self, sample: Callable[[float], Reference]) -> Callable[[float], Reference]:
-        """A reference that waits, and starts again from rest.
+        """Make a reference that waits during a pause, and starts again from rest.
 
         Args:
-            sample: the reference by seconds since the first cycle, without a pause.
+            sample: the reference without pauses, by seconds since the first cycle.
         """
 
         def reference(t_s: float) -> Reference:
@@ -88,10 +88,10 @@ class Restart:
         return reference
 
     def limit(self, setpoint: WheelSetpoint, wheels: WheelMeasurement | None) -> WheelSetpoint:
-        """The setpoint, all wheels slowed alike where one would go faster than it can after a pause.
+        """Scale all wheel rates down equally if one would exceed its limit after a pause.
 
         Args:
-            setpoint: of the controller.
+            setpoint: setpoint of the controller.
             wheels: newest aligned wheels; None where none were read.
         """
         if self._most_m_s is None:

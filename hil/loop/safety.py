@@ -17,10 +17,10 @@ from hil.loop.cycle_data import Check
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits of one bench; time-outs in s, angles in rad. `heading_limit_rad` counts on a wall only.
+    """Limits of one bench; time-outs in s, angles in rad. `heading_limit_rad` applies on a wall only.
 
-    `stale_s` is the time without a good sample after which a kind of device counts as silent, for those
-    whose silence matters; `servo_ids` are the bus IDs in the order of `SERVOS`, for messages, empty when
+    `stale_s` is the time without a good sample after which a kind of device counts as silent; kinds without
+    an entry are not checked. `servo_ids` are the bus IDs in the order of `SERVOS`, for messages, empty when
     unknown.
     """
 
@@ -39,27 +39,27 @@ class SafetyLimits:
 class Checks:
     """Which sensors are compared with each other, and whether a disagreement stops the robot.
 
-    Where the robot does not steer by the sensor in doubt, there is only a warning: a script that turns single
-    wheels follows no pose, and odometry needs no camera.
+    If control does not use the sensor in doubt, there is only a warning: a script that turns single wheels
+    follows no pose, and odometry needs no camera.
 
     Attributes:
-        motion: camera against wheels and gyro; None without.
+        motion: camera against wheels and gyro; None without this check.
         estimate: the estimate against motion capture; None without motion capture or another independent
             sensor.
         wheels: each wheel against the other three; None where they are not commanded by one motion.
-        needs_camera: whether the estimate that is followed uses the camera: the robot stops where that is
-            in doubt or silent.
-        steering: external encoders against the servos; None without.
-        stops_by_steering: whether a pose is followed.
+        needs_camera: whether the estimate in the loop uses the camera: the robot stops if that is in doubt or
+            silent.
+        steering: external encoders against the servos; None without this check.
+        stops_by_steering: whether a slipped horn stops the robot: if a pose is followed.
         estimated: devices whose measurements the estimators use.
-        holders: what keeps the robot on its surface: by kind, as sentences call it.
-        healthy: how often and how soon the samples of sensors should come.
-        gap_s: by sensor, longest time without a good sample that is still healthy.
-        brought: sensors that other packages bring, and fields of their samples that they do not measure.
-        hold: what presses the robot on its surface; None where no sensor measures it.
-        lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
-            a sensor that can be plugged in again is waited for longer than that.
-        added: checks that kinds of devices bring, by kind.
+        holders: devices that keep the robot on its surface: noun by kind.
+        healthy: expected rate and delay of the samples, by sensor.
+        gap_s: by sensor, longest healthy time without a good sample.
+        brought: sensors of other packages, and sample fields that they do not measure.
+        hold: check of the adhesion force; None where no sensor measures it.
+        lost_after_s: by sensor, time without any sample after which a robot that follows a pose stops;
+            reconnecting a sensor may take longer.
+        added: checks of the device kinds, by kind.
     """
 
     motion: MotionCheck | None = None

@@ -1,9 +1,8 @@
-"""Safety: judges data before they are used and setpoints before they are sent.
+"""Safety: checks data before they are used and setpoints before they are sent.
 
-Stale, implausible or faulty data are reported as events; a condition under which the robot must not
-go on raises `SafetyStop`, which the loop answers with `stop()` (wheels at rest, torque on). All checks
-of a stage run first, and what they find is named together. Deterministic: depends on the inputs seen since
-`reset` and on nothing else.
+Stale, implausible or faulty data are reported as events; a condition under which the robot must stop raises
+`SafetyStop`, and the loop calls `stop()` (wheels at rest, torque on). All checks of a stage run first, and
+their findings are reported together. Deterministic: depends only on the inputs since `reset`.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ class Supervisor:
     """Runs the checks of one bench in their order, and keeps setpoints within limits.
 
     Args:
-        limits: of the bench.
-        checks: of sensors against each other.
+        limits: limits of the bench.
+        checks: checks of sensors against each other.
 
     Attributes:
-        in_order: the checks, the gravest first: the first reason to stop names the stop.
-        left_out: devices that are not believed any more.
-        observers: of estimates that are not followed.
-        last: what the cycle before has left to this one.
+        in_order: the checks, the most serious first: the first reason to stop names the stop.
+        left_out: devices that are excluded.
+        observers: check of the estimates that are not followed.
+        last: data from the previous cycle.
     """
 
     def __init__(self, limits: SafetyLimits, *, checks: Checks | None = None) -> None:
@@ -86,38 +85,37 @@ class Supervisor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen in the run."""
+        """Clear the state of the run."""
         self.last = LastCycle()
         self.left_out.reset()
         for _, check in self.in_order:
             check.reset()
 
     def begin(self, inputs: Inputs, measurements: Measurements) -> Cycle:
-        """A cycle of these inputs and measurements (aligned), with what the one before has left."""
+        """Make a cycle from inputs and aligned measurements, with the data from the previous cycle."""
         inflation, self.last.inflation = self.last.inflation, NO_INFLATION
         return Cycle(inputs, measurements, self.last, inflation=inflation)
 
     def check_samples(self, cycle: Cycle) -> None:
-        """Judge what the devices delivered.
+        """Check the devices' samples.
 
         Raises:
             SafetyStop: `adhesion`, those of `hil.loop.checks.adhesion`, `sliding`, `hardware_error`,
-            `stale_servos`,
-                `held_up`, `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree`, `stale_tracker`,
-                `lost_*`, or the reason of a check that a kind of device brings; the message names everything
-                that came together. A silent IMU is an event, and so is a silent camera where nothing that is
-                followed needs it; a silence that lasts is their driver's `DeviceTimeoutError`.
+                `stale_servos`, `held_up`, `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree`,
+                `stale_tracker`, `lost_*`, or the reason of a check of a device kind; the message names all
+                findings. A silent IMU is only an event, and so is a silent camera that the estimate in the
+                loop does not use; for a lasting silence their driver raises `DeviceTimeoutError`.
         """
         for cycle.source, check in self.in_order:
             check.on_samples(cycle)
         cycle.must_go_on(self._pace.beside(cycle.inputs.t_ns))
 
     def check_estimate(self, cycle: Cycle) -> None:
-        """Judge the estimate of a cycle that has one.
+        """Check the estimate of a cycle, after it has been computed.
 
         Raises:
             SafetyStop: `not_finite`, `negative_variance`, `stale_estimate`, `heading`, `tracking`,
-                `sensors_disagree` with motion capture, or the reason of a check that a kind brings.
+                `sensors_disagree` with motion capture, or the reason of a check of a device kind.
         """
         assert cycle.state is not None
         before = len(cycle.events)
@@ -129,7 +127,7 @@ class Supervisor:
         cycle.events[before:] = map(self._may_slide, cycle.events[before:])
 
     def _may_slide(self, event: Event) -> Event:
-        """As above, for wheels that measure more or less than others: they may slip as the robot slides."""
+        """Add a hint to a warning on wheels that differ from other sensors: the robot may be sliding."""
         if event.source != WHEELS.name or not self._holders:
             return event
         message = event.message + look_at(self._holders, "if it slides, look")
@@ -137,7 +135,7 @@ class Supervisor:
 
     @property
     def doubted(self) -> Mapping[str, bool]:
-        """Devices whose word on how the robot moves was in doubt, and whether others agreed against them."""
+        """Devices whose motion data were in doubt, and whether others agreed against them."""
         return {} if self._agreement is None else self._agreement.doubted
 
     @property
@@ -146,7 +144,7 @@ class Supervisor:
         return frozenset() if self.checks.motion is None else self.checks.motion.agreed
 
     def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
-        """Setpoint within command limits; scaling keeps the centre of rotation.
+        """Limit a setpoint; all wheel rates are scaled equally, which keeps the centre of rotation.
 
         Raises:
             SafetyStop: `not_finite` or `steering_limit`.

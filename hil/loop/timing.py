@@ -1,6 +1,6 @@
-"""Measures how punctual a loop is: durations of its sections, late and skipped cycles, in constant memory.
+"""Measures the timing of a loop: durations of its sections, late and skipped cycles, in constant memory.
 
-Where many cycles begin late it says what to do.
+If many cycles begin late it gives a remedy.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Distribution:
     """Mean, worst value and quantiles (to 1 %) of durations in ns, in a fixed amount of memory.
 
     Attributes:
-        count: how many were counted.
+        count: number of durations.
         worst_ns: the longest, 0 when empty.
     """
 
@@ -35,7 +35,7 @@ class Distribution:
         self._total_ns = self.worst_ns = self.count = 0
 
     def add(self, value_ns: int, times: int = 1) -> None:
-        """Count a duration, as often as it came; below 1 ns counts as 1 ns."""
+        """Add a duration `times` times; below 1 ns counts as 1 ns."""
         place = min(int(math.log(max(1, value_ns)) / _BIN), _BINS - 1)
         self._counts[place] += times
         self._total_ns += times * value_ns
@@ -44,11 +44,11 @@ class Distribution:
 
     @property
     def mean_ns(self) -> float:
-        """Mean of what was counted."""
+        """Mean duration, ns."""
         return self._total_ns / max(1, self.count)
 
     def quantile_ns(self, share: float) -> float:
-        """Duration that a share (0 to 1) of what was counted does not exceed; 0 when empty."""
+        """Duration that a share (0 to 1) of all durations does not exceed, ns; 0 when empty."""
         if not self.count:
             return 0.0
         place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
@@ -57,12 +57,12 @@ class Distribution:
 
 @dataclass
 class LoopStatistics:
-    """Punctuality of a run.
+    """Timing statistics of a run.
 
     Attributes:
         late: cycles that began more than the allowed time after their deadline.
         overruns: cycles that were not done when the next was due.
-        skipped: deadlines that had passed entirely.
+        skipped: deadlines that were skipped.
     """
 
     cycles: int = 0
@@ -75,19 +75,22 @@ class LoopStatistics:
 
     @property
     def sections(self) -> Mapping[str, Distribution]:
-        """Durations of `read estimate control write sinks`, of all of them (`work`), and `lateness`."""
+        """Durations of `read estimate control write sinks`, of their sum (`work`), and `lateness`."""
         self._count_last()
         return self._sections
 
     def add(self, timing_ns: Mapping[str, int]) -> None:
-        """Note one cycle, of which nothing changes any more. In virtual time most are as the one before."""
+        """Add the durations of one cycle, not to be changed later. Equal cycles in a row are counted once.
+
+        They are added with their number (`_count_last`); in virtual time most cycles are equal.
+        """
         if timing_ns != self._last_ns:
             self._count_last()
             self._last_ns = timing_ns
         self._again += 1
 
     def _count_last(self) -> None:
-        """Put the latest durations where they belong, as often as they came."""
+        """Add the pending durations to the distributions, with their count."""
         times, self._again = self._again, 0
         for name, value_ns in self._last_ns.items() if times else ():
             found = self._sections.get(name)
@@ -118,19 +121,19 @@ class Laps:
         self.timing_ns: dict[str, int] = {}
 
     def done(self, section: str) -> None:
-        """A section is done."""
+        """Record the duration of a section that has ended."""
         now_ns = self._now_ns()
         self.timing_ns[section] = now_ns - self._last_ns
         self._last_ns = now_ns
 
 
 def advice(timing: Mapping[str, float], rate_hz: float, burdens: Sequence[str] = ()) -> str:
-    """How many cycles began late and what to do about it; empty where few did.
+    """Text on how many cycles began late and what to do about it; empty if few did.
 
     Args:
         timing: a summary of `LoopStatistics`.
-        rate_hz: of the loop.
-        burdens: options that were given and cost time.
+        rate_hz: loop rate.
+        burdens: given options that cost computing time.
     """
     if not timing["cycles"] or timing["late"] < _MANY * timing["cycles"]:
         return ""
@@ -150,8 +153,8 @@ class LateWarning:
     """Warns once when many cycles of a session begin late.
 
     Args:
-        rate_hz: of the loop.
-        burdens: options that were given and cost time.
+        rate_hz: loop rate.
+        burdens: given options that cost computing time.
     """
 
     def __init__(self, rate_hz: float, burdens: Sequence[str] = ()) -> None:
@@ -159,7 +162,7 @@ class LateWarning:
         self._next = int(_LOOK_AFTER_S * rate_hz)
 
     def look(self, statistics: LoopStatistics) -> None:
-        """Look at the cycles so far, every two seconds until there was something to say."""
+        """Check the statistics every two seconds, until a warning was logged."""
         if not self._next or statistics.cycles < self._next:
             return
         self._next += int(_LOOK_AFTER_S * self._rate_hz)

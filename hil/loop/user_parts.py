@@ -1,9 +1,8 @@
-"""Calls controllers and estimators of the user's, and checks what they return.
+"""Calls user-supplied controllers and estimators, and checks their results.
 
-What they are given cannot be written to: the other estimators see it, too, and it is recorded. What they
-return is checked in every cycle and copied, because they may keep it and change it later. A wrong result
-would otherwise end the run much later, in code that its author does not know. Parts of this package are
-asked as they are.
+Their inputs are read-only, because other estimators use them too and they are recorded. Their results are
+checked in every cycle and copied, because they may be kept and changed later. A wrong result would otherwise
+end the run much later, in code that the user does not know. Parts of this package are called directly.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ T = TypeVar("T")
 _SETPOINT = {"wheel_rate_rad_s": (4,), "steering_rad": (4,)}
 _STATE = {"pose_body_in_wall": (3,), "twist_body": (3,), "covariance": (6, 6)}
 _ROUNDING = 1e-6
-"""How far a covariance may be from symmetric, in its largest number."""
+"""Tolerated asymmetry of a covariance, relative to its largest element."""
 _BITS = 63
-"""Of a time, as recordings hold it."""
+"""Bits of a time stamp in recordings."""
 _NUMBERS = (float, int, np.floating, np.integer, np.bool_)
 
 
 def own_name(part: Any) -> str:
-    """Module and class of a part that is not of this package; empty for ours, and for none."""
+    """Module and class of a user-supplied part; empty for a part of this package, and for None."""
     kind: Any = type(part)
     return "" if part is None else _name_of(kind)
 
@@ -45,14 +44,14 @@ def _name_of(kind: type[Any]) -> str:
 
 
 def reset_estimator(estimator: Estimator, state: RobotState) -> None:
-    """Start an estimator from a state; one's own gets a copy, which it may go on with."""
+    """Reset an estimator to a state; a user-supplied one gets a copy that it may change."""
     estimator.reset(_copied(state, _STATE) if own_name(estimator) else state)
 
 
 def asked(estimator: Estimator) -> Callable[[Measurements], RobotState]:
-    """What takes one cycle's measurements and returns what the estimator makes of them.
+    """Update function of an estimator, which takes one cycle's measurements and returns a state.
 
-    It raises `UsageError` where one's own returns no state, or one whose fields are not what they should be.
+    For a user-supplied estimator it raises `UsageError` if the result is no state, or has invalid fields.
     """
     return partial(_checked, estimator) if own_name(estimator) else estimator.update
 
@@ -76,10 +75,10 @@ def _checked(estimator: Estimator, measurements: Measurements) -> RobotState:
 def controlled(
     controller: Controller, cycle: int, state: RobotState, reference: Reference, wheels: WheelMeasurement
 ) -> WheelSetpoint:
-    """What a controller of one's own makes of one cycle.
+    """Call a user-supplied controller and check its setpoint.
 
     Raises:
-        UsageError: it has returned no wheel setpoints, or wrong ones.
+        UsageError: it returned no wheel setpoints, or invalid ones.
     """
     found = controller.update(*_sealed((state, reference, wheels)))
     wrong = _wrong_arrays(found, WheelSetpoint, _SETPOINT)
@@ -89,7 +88,7 @@ def controlled(
 
 
 def _sealed(records: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Records whose arrays are the same ones and cannot be written to through them."""
+    """Records with read-only views of the same arrays."""
     return tuple(map(_sealed_one, records))
 
 
@@ -104,7 +103,7 @@ def _sealed_one(record: T) -> T:
 
 
 def _copied(record: T, arrays: Iterable[str], **others: object) -> T:
-    """The record with copies of its arrays; what a derived class has beside its fields stays as it is."""
+    """The record with copies of its arrays; extra attributes of a derived class are kept."""
     copied = copy(record)
     copies = {name: np.array(getattr(record, name), order="C") for name in arrays}
     copied.__dict__.update(copies, **others)
@@ -114,7 +113,7 @@ def _copied(record: T, arrays: Iterable[str], **others: object) -> T:
 def _wrong_arrays(
     found: object, kind: type[Any], shapes: Mapping[str, tuple[int, ...]]
 ) -> tuple[str, str] | None:
-    """What was returned and what is expected, where it is not of a kind with arrays of these shapes."""
+    """Found and expected, as texts, if a result is not of a class with arrays of these shapes."""
     wanted = " and ".join(f"{name} {shape}" for name, shape in shapes.items())
     expected = f"a {kind.__name__} with numpy arrays of float64: {wanted}"
     if not isinstance(found, kind):
@@ -128,7 +127,7 @@ def _wrong_arrays(
 
 
 def _wrong_state(found: RobotState) -> tuple[str, str] | None:
-    """As `_wrong_arrays`, of what a state has beside its arrays, and whether its covariance is symmetric."""
+    """As `_wrong_arrays`, for the other fields of a state, and for the symmetry of its covariance."""
     t_ns, figures = found.t_ns, found.diagnostics
     if not isinstance(t_ns, (int, np.integer)) or int(t_ns).bit_length() > _BITS:
         return f"a RobotState whose t_ns is {_in_words(t_ns)}", "whole nanoseconds"
@@ -149,9 +148,9 @@ def _wrong_state(found: RobotState) -> tuple[str, str] | None:
 
 
 def _asymmetry(p: Array) -> tuple[tuple[int, int], float, float] | None:
-    """Where a covariance (6, 6) is least symmetric, beyond rounding: place, number, number opposite.
+    """Largest asymmetry of a covariance (6, 6) beyond rounding: indices, element, opposite element.
 
-    Numbers that are not finite are no matter of symmetry: `hil.loop.checks.state_valid` judges them.
+    Elements that are not finite are ignored here: `hil.loop.checks.state_valid` checks them.
     """
     if (p == p.T).all() or not np.isfinite(p).all():
         return None

@@ -95,9 +95,9 @@ def test_a_force_that_stays_over_its_limit_and_a_little_drift_of_the_cells_stop_
 @pytest.mark.parametrize(
     ("spec", "reasons", "reported"),
     [
-        ("load_cells:jump@2,force_n=12", ("adhesion_disagree",), "the cells lie"),
+        ("load_cells:jump@2,force_n=12", ("adhesion_disagree",), "the cells are wrong"),
         ("load_cells:jump@2,force_n=-30", ("adhesion",), "N of adhesion by the load cells (4"),
-        ("load_cells:wrong@1,drift_n_s=4", ("adhesion_disagree",), "the cells lie"),
+        ("load_cells:wrong@1,drift_n_s=4", ("adhesion_disagree",), "the cells are wrong"),
         ("load_cells:stuck@2", ("stale_load_cells",), "nothing usable from the load cells"),
         ("adhesion:slow@2,factor=50", ("stale_adhesion",), "nothing usable from the fan's controller"),
         ("adhesion:stuck@2", ("stale_adhesion",), "nothing usable from the fan's controller"),

@@ -24,9 +24,7 @@ def test_poses_that_were_refused_until_the_frame_began_anew_are_reported_once():
     refused = state(5, 0.007, reanchored_tracker=1.0, rejected_tracker=40.0)
     (event,) = reported(state(rejected_tracker=39.0), refused, refused)
     assert (event.t_ns, event.level, event.source) == (5, "warning", "tracker")
-    assert (
-        event.message == "did not fit what servos and IMU tell for long: the estimate is unsure by 7.0 mm now"
-    )
+    assert event.message == "did not fit servos and IMU for long: the estimate is unsure by 7.0 mm now"
     (event,) = reported(state(reanchored_wheels=1.0, rejected_wheels=320.0))
     assert event.source == "servos"
 

@@ -272,7 +272,7 @@ def test_a_comparison_guards_what_is_recorded_as_a_run_does(bench):
     [
         ({"pose_body_in_wall": np.full(3, np.nan)}, "the estimated state is not finite"),
         ({"covariance": -np.eye(6)}, "the estimate's variance of x, .* is negative"),
-        ({"covariance": np.full((6, 6), np.nan)}, "the estimate does not say how sure it is"),
+        ({"covariance": np.full((6, 6), np.nan)}, "the estimate has no usable covariance"),
         ({"t_ns": 0}, "the estimate's time is .* s behind that of the cycle"),
     ],
 )

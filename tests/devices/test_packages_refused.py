@@ -89,7 +89,7 @@ REFUSED = {
     "something else": ("ITEM = 3\n", ("hil-new 1.0", "is a int", "DeviceKind", "DeviceModel")),
     "a kind that the bench has": (
         changed('replace(THING, name="imu", models=(replace(ONE, kind="imu"),))'),
-        ("hil-new 1.0", "the kind imu is there already (hil)", "give the kind another name"),
+        ("hil-new 1.0", "the kind imu exists already (hil)", "give the kind another name"),
     ),
     "a model without a driver": (
         changed("replace(THING, models=(replace(ONE, driver=None),))"),
@@ -97,7 +97,7 @@ REFUSED = {
     ),
     "a kind that there is not": (
         changed('replace(ONE, kind="imuu")'),
-        ("hil-new 1.0", "is of the kind imuu, which there is not", "did you mean imu?"),
+        ("hil-new 1.0", "is of the kind imuu, which does not exist", "did you mean imu?"),
     ),
     "a model that there is": (
         changed("BNO055"),
@@ -156,7 +156,7 @@ def test_two_packages_with_one_kind_are_both_named(package, bench, hil):
     for command in COMMANDS:
         done = hil(*command, packages=folders)
         assert done.code == 2
-        assert "device package hil-two 1.0: the kind thing is there already (hil-one 1.0)" in done.said
+        assert "device package hil-two 1.0: the kind thing exists already (hil-one 1.0)" in done.said
         assert "uninstall one of the two packages, or give the kind another name" in done.said
 
 

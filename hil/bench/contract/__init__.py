@@ -1,7 +1,8 @@
 """The device contract: one suite of checks for emulated and real devices.
 
 `hil accept` runs it and prints findings; the pytest suite `hil.pytest_plugin.contract` runs the same checks
-as tests. A check takes what it judges, returns what it measured in a few words, and raises `Broken`.
+as tests. A check takes the object to check, returns a short text with the measured values, and raises
+`Broken`.
 """
 
 from hil.bench.contract.at_rest import AT_REST

@@ -35,14 +35,14 @@ from hil.recording.record_comparison import first_difference
 
 LONGEST_READ_NS = nanoseconds(0.06)
 NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)
-"""Statuses of samples that hold no data at all."""
+"""Statuses of samples without any data."""
 _READS, _STEP_NS = 20, nanoseconds(0.01)
 _DRIVER = "mend the driver of this device"
 _LINK = "check cable, supply and baud rate; `hil doctor` says more"
 
 
 def says_what_it_is(subject: Subject) -> str:
-    """An open device says what it is, text by text, and a closed one nothing; closing twice is allowed."""
+    """`identity` has texts while the device is open and is empty when closed; closing twice is allowed."""
     with subject.opened() as device:
         identity = device.identity()
         texts = all(isinstance(k, str) and isinstance(v, str) and v for k, v in identity.items())
@@ -50,12 +50,12 @@ def says_what_it_is(subject: Subject) -> str:
             raise Broken(f"identity {dict(identity)}", "text by text: model, firmware, port", _DRIVER)
         device.close()
         if device.identity():
-            raise Broken("says what it is while closed", "nothing", _DRIVER)
+            raise Broken("has an identity while closed", "nothing", _DRIVER)
     return ", ".join(f"{key} {value}" for key, value in identity.items())
 
 
 def opens_again(subject: Subject) -> str:
-    """After it was closed it can be opened again, and delivers as before."""
+    """A closed device can be opened again, and delivers samples as before."""
     counts = []
     for _ in range(2):
         with subject.opened() as device:
@@ -68,7 +68,7 @@ def opens_again(subject: Subject) -> str:
 
 
 def closed_is_a_named_error(subject: Subject) -> str:
-    """Reading a closed device is an error of the kind `DeviceError` that names it."""
+    """Reading a closed device raises a `DeviceError` that names the device."""
     device = subject.device
     device.close()
     try:
@@ -81,7 +81,7 @@ def closed_is_a_named_error(subject: Subject) -> str:
 
 
 def samples_in_time(subject: Subject) -> str:
-    """Nearly all samples that are due come, are good, in order, and say when they were measured."""
+    """Nearly all due samples arrive, are good and in order, and have a time of measurement."""
     watched = subject.watched
     expected = due(subject.bench, subject.kind, watched.samples, WATCH_S)
     wanted = SHARE * expected
@@ -108,7 +108,7 @@ def samples_in_time(subject: Subject) -> str:
 
 
 def no_data_is_no_number(subject: Subject) -> str:
-    """Samples are of their kind; arrays keep their shape; NaN stands for what was not received."""
+    """Samples have the type of their kind; arrays keep their shape; missing data are NaN."""
     kind, samples = kinds()[subject.kind], subject.watched.samples
     names, missing = arrays_of(kind.sample), subject.not_measured
     if not all(type(s) is kind.sample for s in samples):
@@ -133,7 +133,7 @@ def no_data_is_no_number(subject: Subject) -> str:
 
 
 def delivered_once(subject: Subject) -> str:
-    """No two samples have the same time and number."""
+    """No two samples have the same stamp and sequence number."""
     keys = [(s.stamp.t_ns, s.stamp.seq) for s in subject.watched.samples]
     if len(set(keys)) != len(keys):
         raise Broken(f"{len(keys) - len(set(keys))} of {len(keys)} samples came twice", "each once", _DRIVER)
@@ -141,7 +141,7 @@ def delivered_once(subject: Subject) -> str:
 
 
 def reads_do_not_wait(subject: Subject) -> str:
-    """A read takes what is there; two of twenty may be late because this computer was busy elsewhere."""
+    """A read returns available samples without waiting; two of twenty may be late on a busy computer."""
     clock, took_ns = subject.bench.clock, []
     with subject.opened() as device:
         read_for(subject.bench, device, SHORT_S)
@@ -158,7 +158,7 @@ def reads_do_not_wait(subject: Subject) -> str:
 
 
 def recorded_bit_for_bit(subject: Subject) -> str:
-    """A recording gives back what was written; each topic has a message of every sample."""
+    """A recording returns the written samples bit for bit; each topic has a message for every sample."""
     kind, samples = kinds()[subject.kind], tuple(subject.watched.samples)
     own = () if kind.name in OURS else (kind,)
     delivered: dict[str, Any] = {"added": {kind.name: samples}} if own else {kind.name: samples}
@@ -185,7 +185,7 @@ def recorded_bit_for_bit(subject: Subject) -> str:
 
 
 def same_seed_same_samples(subject: Subject) -> str:
-    """An emulated device takes chance from the world's seed and from nowhere else."""
+    """An emulated device takes random numbers only from the world's seed."""
     anew = subject.anew
     if anew is None:
         return "in virtual time only"
@@ -212,9 +212,9 @@ def arrays_of(sample: type[Any]) -> list[str]:
 
 
 def by_channel(values: Array, states: tuple[Status, ...]) -> list[tuple[Array, tuple[Status, ...]]]:
-    """Parts of an array (n,) or (n, m) with the statuses of each: rows where it has one for every channel.
+    """Parts of an array (n,) or (n, m) with their statuses; one part per channel if it has one row each.
 
-    Whole numbers and booleans have no NaN, so nothing is asked of them.
+    Integers and booleans have no NaN, so they give no parts.
     """
     if values.dtype.kind != "f":
         return []
@@ -224,7 +224,7 @@ def by_channel(values: Array, states: tuple[Status, ...]) -> list[tuple[Array, t
 
 
 def _record_of(inputs: Inputs) -> CycleRecord:
-    """A cycle in which nothing was decided."""
+    """A cycle record with these inputs and no commands."""
     rest = WheelSetpoint(np.zeros(4), np.zeros(4))
     state = RobotState(0, np.zeros(3), np.zeros(3), np.zeros((6, 6)))
     command = ServoSetpoint(np.zeros(4), np.zeros(4))
@@ -244,4 +244,4 @@ AT_REST: Mapping[str, Callable[[Subject], str]] = {
     "recorded bit for bit": recorded_bit_for_bit,
     "same seed, same samples": same_seed_same_samples,
 }
-"""By what the promise is called on a page."""
+"""Checks by the name of the promise, as shown on a page."""

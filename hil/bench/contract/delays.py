@@ -1,7 +1,7 @@
-"""Measures delays: the age of samples when they arrive, and the time from a command to the turn of the axes.
+"""Measures delays: the age of samples on arrival, and the time from a command to the turn of the axes.
 
-What a stand allows. From command to motion of the body, and how far each device's stamps are off, is what the
-procedure `latency` measures on the wheels.
+This is all that can be measured on a stand. The delay from a command to the motion of the body, and the stamp
+error of each device, are measured by the procedure `latency` with the robot on its wheels.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _TURN_RAD, _RATE_RAD_S, _LASTS_S, _TIMES = 0.07, 1.0, 0.6, 4
 BUSY_SHARE, _IDLE_S = 0.05, 2.0
 _LEAST_S, _MOST_S = 0.005, 0.15
 _APART_S = 0.03
-"""Backlash has the encoders turn some milliseconds after the servos."""
+"""Because of backlash the encoders turn some milliseconds after the servos."""
 _BUS = "check baud rates, latency timer and servos.reply_slack_s; then hil run latency, on the wheels"
 
 
 def delays_at_rest(subject: Subject) -> str:
-    """Median and 95th percentile of the samples' age on arrival, by their own stamps, and of the reads.
+    """Report median and 95th percentile of the samples' age by their stamps, and the duration of reads.
 
     Raises:
-        Broken: they are older than those of a healthy device.
+        Broken: the samples are older than those of a healthy device.
     """
     watched = subject.watched
     stamps = [s.stamp for s in watched.samples if worst(s) is Status.OK]
@@ -55,7 +55,7 @@ def delays_at_rest(subject: Subject) -> str:
 
 
 def punctuality(config: BenchConfig) -> Finding:
-    """Measure how punctual this computer is: by an idle loop at the bench's rate, in real time."""
+    """Measure the timing jitter of this computer by an idle loop at the bench's rate, in real time."""
     found = idle_for(config, _IDLE_S)
     late = found.late / max(found.cycles, 1)
     return Finding(
@@ -72,7 +72,7 @@ def punctuality(config: BenchConfig) -> Finding:
 
 
 def idle_for(config: BenchConfig, seconds: float) -> LoopStatistics:
-    """Punctuality of a loop that does nothing, at the bench's rate, in real time."""
+    """Timing statistics of an idle loop at the bench's rate, in real time."""
     clock = MonotonicClock()
     scheduling = real_time(config, clock)
     assert scheduling is not None
@@ -81,17 +81,17 @@ def idle_for(config: BenchConfig, seconds: float) -> LoopStatistics:
 
 
 def delays_in_motion(bench: Bench) -> Iterator[Finding]:
-    """From a command until the axes have turned, as servos and encoders say it.
+    """Measure the delay from a command to the turn of the axes, by servos and encoders.
 
     Args:
-        bench: whose servos, and encoders if it has them, are open. The robot is on a stand.
+        bench: bench with open servos, and open encoders if it has them. The robot is on a stand.
 
     Raises:
         Broken, DeviceError: nothing could be measured.
     """
     steering, encoders, wheels = list[float](), list[float](), list[float]()
     if (sensor := bench.rig.get("encoders")) is not None:
-        sensor.close()  # samples from before this read are of no use
+        sensor.close()  # discard samples from before this read
         sensor.open()
     with enabled(bench) as start:
         at_loop_rate(bench, 0.3, still(start))
@@ -131,22 +131,22 @@ def _delay(device: str, check: str, found_s: Array) -> Finding:
 
 
 def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
-    """Servos and encoders measure the same turn: the later one delays its values, or stamps them too late."""
+    """Compare the delays of servos and encoders: the later one delays its values, or stamps them too late."""
     apart_ms = abs(servos_ms - encoders_ms)
     right = apart_ms <= 1e3 * _APART_S
     late, other = ("servos", "encoders") if servos_ms > encoders_ms else ("encoders", "servos")
     return Finding(
         late if not right else "servos",
-        "servos and encoders tell of one turn",
+        "servos and encoders agree",
         "ok" if right else "failure",
         f"servos {servos_ms:.1f} ms, encoders {encoders_ms:.1f} ms after the command",
         f"at most {1e3 * _APART_S:g} ms apart",
-        "" if right else f"the {late} tell it later than the {other}: look for what holds their answers up",
+        "" if right else f"the {late} report it later than the {other}: look for the cause of their delay",
     )
 
 
 def _watch(bench: Bench, setpoint: ServoSetpoint) -> dict[str, tuple[Array, Array]]:
-    """Command once a cycle; by device, times since the first command, s, and mean steering angles, rad."""
+    """Command once a cycle; return times from the start (s) and mean steering angles (rad), by device."""
     servos, sensor = bench.rig.servos, bench.rig.get("encoders")
     assert servos is not None
     before = fresh(bench)
@@ -172,9 +172,9 @@ def _watch(bench: Bench, setpoint: ServoSetpoint) -> dict[str, tuple[Array, Arra
 
 
 def _mean_delay_s(t_s: Array, angle_rad: Array) -> float:
-    """Mean delay of a step's response: the area between the step and the response, over the step.
+    """Mean delay of a step response, s: the area between step and response, divided by the step.
 
-    Times before 0 belong to before the step; the response is taken to have ended by the last fifth.
+    Times below 0 are before the step; the last fifth counts as the final value.
     """
     late = t_s > 0.8 * _LASTS_S
     first, last = float(angle_rad[0]), float(angle_rad[late].mean())
@@ -187,7 +187,7 @@ def _mean_delay_s(t_s: Array, angle_rad: Array) -> float:
 
 
 def _rolling_delay_s(bench: Bench, start: ServoSample, rate_rad_s: float) -> float:
-    """When the line through the wheels' steady turning leaves their angle at rest, after the command."""
+    """Delay of the wheels, s: where the line fitted to their steady rotation meets their angle at rest."""
     servos = bench.rig.servos
     assert servos is not None
     rest = float(at_loop_rate(bench, 0.4, still(start)).position_rad[:4].mean())

@@ -20,12 +20,12 @@ from hil.core.registry import kinds
 
 WATCH_S, SHORT_S = 1.0, 0.2
 SHARE = 0.7
-"""Of the samples that are due: this computer's load may cost some."""
+"""Required share of the due samples: some may be lost because of this computer's load."""
 _OLDER = 5.0
 
 
 class Broken(AssertionError):
-    """A promise that was not kept.
+    """A device breaks its contract.
 
     Args:
         found, expected, remedy: in words.
@@ -38,7 +38,7 @@ class Broken(AssertionError):
 
 @dataclass(frozen=True)
 class Delivered:
-    """The data of a device while it was open: samples, identity, and times of reading.
+    """Data from a device while it was open: samples, identity, and durations of the reads.
 
     Attributes:
         samples: oldest first.
@@ -59,10 +59,10 @@ class Subject:
     """One closed device of a bench whose world runs.
 
     Attributes:
-        bench: that has it.
-        kind: of the device.
-        anew: opens the same bench again, from its beginning; None where it cannot repeat itself, because
-            something of it runs in real time.
+        bench: bench of the device.
+        kind: the device's kind.
+        anew: makes the same bench again, from its beginning; None if a run cannot be repeated, because a part
+            of it runs in real time.
     """
 
     bench: Bench
@@ -76,12 +76,12 @@ class Subject:
 
     @property
     def not_measured(self) -> tuple[str, ...]:
-        """Fields of its samples that its model does not measure."""
+        """Fields of the samples that the device's model does not measure."""
         return model_of(self.bench.config, self.kind).not_measured
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
-        """The driver, open for as long as the block lasts."""
+        """Open the driver for the duration of the block."""
         device = self.device
         device.open()
         try:
@@ -91,16 +91,16 @@ class Subject:
 
     @cached_property
     def watched(self) -> Delivered:
-        """Opened, read for a second and closed; once for all checks."""
+        """Open the device, read it for a second and close it; the data are shared by all checks."""
         with self.opened() as device:
             began_ns, took_s = self.bench.clock.now_ns(), list[float]()
             samples = read_for(self.bench, device, WATCH_S, took_s)
-            identity = dict(device.identity())  # by now, because some tell their firmware with their samples
+            identity = dict(device.identity())  # read now: some report firmware in samples
             return Delivered(samples, identity, began_ns, self.bench.clock.now_ns(), took_s)
 
 
 def read_for(bench: Bench, device: Any, duration_s: float, took_s: list[float] | None = None) -> list[Any]:
-    """Everything that a device delivers, read at the loop rate; `took_s` receives each read's time."""
+    """Read a device at the loop rate and return all samples; `took_s` receives each read's duration."""
     clock, period_ns = bench.clock, nanoseconds(1.0 / bench.config.loop.rate_hz)
     samples, next_ns = list[Any](), clock.now_ns()
     for _ in range(round(duration_s * bench.config.loop.rate_hz)):
@@ -114,7 +114,7 @@ def read_for(bench: Bench, device: Any, duration_s: float, took_s: list[float] |
 
 
 def due(bench: Bench, kind: str, samples: list[Any], duration_s: float) -> float:
-    """Samples that a healthy device delivers; by the period that they came with where its owner chose it."""
+    """Expected number of samples of a healthy device; without a nominal rate, by their median period."""
     rate_hz = kinds()[kind].rate_hz(bench.config.devices()[kind], bench.config.loop.rate_hz)
     if np.isnan(rate_hz):
         times_ns = np.unique([s.stamp.t_ns for s in samples])
@@ -124,16 +124,16 @@ def due(bench: Bench, kind: str, samples: list[Any], duration_s: float) -> float
 
 
 def oldest_s(config: BenchConfig, kind: str) -> float:
-    """How old a healthy device's samples may be, s: a cycle more where they wait for the loop."""
+    """Largest age of a healthy device's samples, s; one cycle more if they wait for the loop."""
     waits = config.devices()[kind].waits_for_loop()
     return _OLDER * kinds()[kind].max_age_s + waits / config.loop.rate_hz
 
 
 def judged(device: str, promise: str, check: Callable[[], str]) -> Finding:
-    """The finding of one check: ok with what it measured, or a failure by what it raised.
+    """Run one check; the finding is ok with the measured values, or a failure with the raised error.
 
     Raises:
-        Aborted: a person or a signal ended it, which says nothing of the device.
+        Aborted: a person or a signal ended the check.
     """
     try:
         return Finding(device, promise, "ok", check())

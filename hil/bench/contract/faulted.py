@@ -1,8 +1,8 @@
 """Checks that each declared fault of an emulated device changes what its driver or its robot shows.
 
-A fault that does nothing is worse than none: what is tested with it passes, and nothing was tested. Each run
-is of a bench of its own, from the same seed, with wheels and steering that move where there are any; what is
-seen of it is held against the same run without a fault.
+A fault without effect is worse than none: tests that use it pass without testing anything. Each run uses a
+new bench with the same seed, and moves wheels and steering if there are any; its results are compared with
+those of the same run without a fault.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Samples = tuple[Any, ...]
 
 
 def each_fault_acts(subject: Subject) -> str:
-    """Strike the device with each of its faults in turn; raises `Broken` for those that change nothing."""
+    """Inject each fault of the device in turn. Raises `Broken` for faults that change nothing."""
     assert subject.anew is not None
     healthy, kind = _seen(subject.anew, subject.kind, ""), subject.kind
     declared = _declared(subject)
@@ -51,7 +51,7 @@ def _declared(subject: Subject) -> tuple[str, ...]:
 
 
 def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Samples:
-    """What a run shows: samples, what was raised, and how the robot moved."""
+    """Run a bench with one fault, and return samples, errors and the motion of the robot for comparison."""
     bench = anew()
     world = bench.world
     assert world is not None
@@ -109,7 +109,7 @@ def _driven(bench: Bench, device: Any, servos: Any, *, holds: bool) -> Iterator[
 
 
 def _text_of(value: Any) -> str:
-    """All of a sample in words that compare, NaN as NaN, and every digit of an array."""
+    """A sample as text for exact comparison: NaN equals NaN, arrays are compared bit for bit."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):

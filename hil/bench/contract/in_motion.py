@@ -1,7 +1,7 @@
 """Contract checks of commanded servos. Wheels turn: the robot is on a stand or on an open floor.
 
-Every check takes a bench whose servos are open, ends with wheels at rest and torque on, and puts the steering
-back to where it was.
+Every check takes a bench whose servos are open, ends with wheels at rest and torque on, and restores the
+steering angles.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _HEALTH_S, _SILENT_S = 2.5, 1.5
 
 
 def pause(bench: Bench, duration_s: float) -> None:
-    """Let time pass without talking to a device."""
+    """Wait without any request to a device."""
     bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(duration_s))
 
 
 def fresh(bench: Bench) -> ServoSample:
-    """The next sample in which all eight are good: a reading lost or marked is data, not a failure."""
+    """The next sample with all eight servos good; single lost or marked reads are no failure."""
     servos = _servos(bench)
     for _ in range(round(_PATIENCE_S * bench.config.loop.rate_hz)):
         (sample,) = servos.read()
@@ -50,12 +50,12 @@ def fresh(bench: Bench) -> ServoSample:
 
 
 def at_loop_rate(bench: Bench, duration_s: float, setpoint: ServoSetpoint | None = None) -> ServoSample:
-    """Read (and command) at the loop rate for a time without a gap; the last good sample.
+    """Read (and command) at the loop rate for a time without a gap; return the last good sample.
 
-    After a gap as long as half a bus watchdog's time, wheels may have stopped: the time begins anew.
+    After a gap of half the bus watchdog's time the wheels may have stopped, so the time restarts.
 
     Raises:
-        Broken: if this computer leaves a gap in each of `_TRIES` tries.
+        Broken: this computer left a gap in each of `_TRIES` tries.
     """
     period_ns, servos = nanoseconds(1.0 / bench.config.loop.rate_hz), _servos(bench)
     longest_ns = max(nanoseconds(_table(bench).watchdog_s) // 2, 2 * period_ns)
@@ -83,7 +83,7 @@ def at_loop_rate(bench: Bench, duration_s: float, setpoint: ServoSetpoint | None
 
 @contextmanager
 def enabled(bench: Bench) -> Iterator[ServoSample]:
-    """Torque on; wheels at rest afterwards, whatever happened. Gives the angles at the beginning."""
+    """Switch torque on and yield the initial angles; always stop the wheels afterwards."""
     servos = _servos(bench)
     servos.enable()
     try:
@@ -93,17 +93,17 @@ def enabled(bench: Bench) -> Iterator[ServoSample]:
 
 
 def still(sample: ServoSample) -> ServoSetpoint:
-    """Stay where a sample was."""
+    """Setpoint: wheels at rest, steering angles of a sample."""
     return ServoSetpoint(np.zeros(4), sample.position_rad[4:].copy())
 
 
 def rolling(sample: ServoSample, rate_rad_s: float = _RATE_RAD_S) -> ServoSetpoint:
-    """All wheels at one rate, the steering as it was."""
+    """Setpoint: all wheels at one rate, steering angles of a sample."""
     return ServoSetpoint(np.full(4, rate_rad_s), sample.position_rad[4:].copy())
 
 
 def enabling_moves_nothing(bench: Bench) -> str:
-    """A robot without torque may creep down its wall until the moment at which it is held."""
+    """Torque on moves no axis; 0.1 rad is tolerated, as a robot without torque creeps down its wall."""
     before = fresh(bench)
     with enabled(bench) as held:
         _near("turned when torque came on", held.position_rad, before.position_rad, 0.1)
@@ -112,7 +112,7 @@ def enabling_moves_nothing(bench: Bench) -> str:
 
 
 def goals_are_reached(bench: Bench) -> str:
-    """Rates and angles are reached, each with its own sign."""
+    """Wheel rates and steering angles reach their goals, with the right signs."""
     with enabled(bench) as start:
         turned = ServoSetpoint(5.0 * _STEP, start.position_rad[4:] + _STEP)
         sample = at_loop_rate(bench, 1.5, turned)
@@ -127,7 +127,7 @@ def goals_are_reached(bench: Bench) -> str:
 
 
 def stop_holds(bench: Bench) -> str:
-    """After a stop the wheels rest and the steering stays."""
+    """After a stop the wheels rest and the steering angles stay."""
     with enabled(bench) as start:
         at_loop_rate(bench, 0.5, rolling(start))
         _servos(bench).stop()
@@ -138,7 +138,7 @@ def stop_holds(bench: Bench) -> str:
 
 
 def a_forgotten_wheel_stops(bench: Bench) -> str:
-    """A program that forgets its wheels leaves a held robot."""
+    """Without further commands the wheels stop and the robot stays held."""
     with enabled(bench) as start:
         moving = at_loop_rate(bench, 0.5, rolling(start))
         pause(bench, _SILENT_S)
@@ -155,7 +155,7 @@ def a_forgotten_wheel_stops(bench: Bench) -> str:
 
 
 def obeys_after_silence(bench: Bench) -> str:
-    """Servos without requests for a while are kept alive, and obey the next goals."""
+    """Servos without requests for a while keep torque and watchdog, and follow the next goals."""
     with enabled(bench) as start:
         pause(bench, 5.0 * _table(bench).watchdog_s)
         trouble = _servos(bench).look_after().trouble
@@ -173,7 +173,7 @@ def obeys_after_silence(bench: Bench) -> str:
 
 
 def goals_beyond_limits_are_clipped(bench: Bench) -> str:
-    """A rate beyond the limit becomes the limit."""
+    """A rate goal beyond the limit is clipped to the limit."""
     with enabled(bench) as start:
         sample = at_loop_rate(bench, 0.6, rolling(start, 50.0))
         limit = _table(bench).velocity_limit_rad_s
@@ -184,7 +184,7 @@ def goals_beyond_limits_are_clipped(bench: Bench) -> str:
 
 
 def health_is_reported(bench: Bench) -> str:
-    """Voltage and temperature come at their own slow rate."""
+    """Voltage and temperature are reported at their slow rate, and are plausible."""
     found, servos = list[Any](), _servos(bench)
     for _ in range(round(100.0 * _HEALTH_S)):
         servos.read()
@@ -203,7 +203,7 @@ def health_is_reported(bench: Bench) -> str:
 
 
 def stop_never_raises(bench: Bench) -> str:
-    """Not even on a closed port."""
+    """`stop` does not raise, not even on a closed port."""
     servos = _servos(bench)
     servos.close()
     servos.stop()
@@ -212,10 +212,10 @@ def stop_never_raises(bench: Bench) -> str:
 
 
 def without_restart(check: Callable[[Bench], str]) -> Callable[[Bench], str]:
-    """The same check, which is broken also by a servo that starts over while it lasts.
+    """Wrap a check so that it also fails if a servo restarts meanwhile.
 
-    The driver sets such a servo up again, so that all else may look right. Drivers that do not count restarts
-    (`restarts`) tell of none.
+    The driver configures a restarted servo again, so that the other checks may pass. Drivers without a
+    restart counter (`restarts`) report no restarts.
     """
 
     def checked(bench: Bench) -> str:
@@ -258,7 +258,7 @@ def _within(values: Array, limits: tuple[float, float]) -> bool:
 
 
 def _near(what: str, values: Array, wanted: Array, tolerance: float, unit: str = "rad") -> str:
-    """Raise `Broken` where one is farther off than it may be; names the joint."""
+    """Compare values with goals; raises `Broken` with the names of joints that exceed the tolerance."""
     off = np.abs(values - wanted)
     names = SERVOS if len(off) == 8 else SERVOS[:4] if unit == "rad/s" else SERVOS[4:]
     if not np.all(off <= tolerance):
@@ -278,4 +278,4 @@ _CHECKS: Mapping[str, Callable[[Bench], str]] = {
     "stop never raises": stop_never_raises,
 }
 IN_MOTION = {promise: without_restart(check) for promise, check in _CHECKS.items()}
-"""By what the promise is called on a page."""
+"""Checks by the name of the promise, as shown on a page."""

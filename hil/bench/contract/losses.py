@@ -1,7 +1,7 @@
 """Checks that a device loses no samples and does not restart while it is watched, by the limit of `bring_up`.
 
-What comes late is not lost. In real time a device may be watched more often, and the best time counts; where
-this computer turns out to be busy, what it has not heard is not held against the device.
+Late samples are not lost. In real time a device may be watched several times, and the best time counts; if
+this computer is too busy, missing samples do not count against the device.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _AT_THE_ENDS = 1
 def loses_next_to_nothing(subject: Subject) -> str:
     """Check that as many of the due samples are good as `bring_up` asks for, and that none reports a restart.
 
-    It begins to count when the device has had time to start, as the doctor does.
+    Counting begins after a start-up time of the device, as in the doctor.
     """
     limit, real_time = kinds()[subject.kind].min_delivered, subject.anew is None
     share, message = 0.0, ""
@@ -41,7 +41,7 @@ def loses_next_to_nothing(subject: Subject) -> str:
 
 
 def _watched(subject: Subject) -> tuple[int, float]:
-    """How many samples were good, and how many were due, in one time of watching."""
+    """Numbers of good and of due samples in one observation."""
     with subject.opened() as device:
         read_for(subject.bench, device, _SETTLE_S)
         samples = read_for(subject.bench, device, _WATCH_S)

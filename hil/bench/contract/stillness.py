@@ -10,11 +10,11 @@ from hil.core.registry import kinds
 
 _WATCH_S, _FEWEST = 2.0, 20
 MOST_M_S = 0.005
-"""Cameras at rest drift by less than 1 mm/s; a robot that is let go creeps down its wall faster than this."""
+"""Cameras at rest drift by less than 1 mm/s; a released robot creeps down its wall faster than this."""
 
 
 def sees_no_motion(subject: Subject) -> str:
-    """The position that a device reports of a robot at rest drifts by less than 5 mm/s."""
+    """The reported position of a robot at rest drifts by less than 5 mm/s."""
     kind = kinds()[subject.kind]
     if not (kind.motion_threshold and kind.measures_position):
         return "reports no position"
@@ -29,7 +29,7 @@ def sees_no_motion(subject: Subject) -> str:
     message = f"{1e3 * speed_m_s:.2g} mm/s"
     if speed_m_s > MOST_M_S:
         raise Broken(
-            f"the robot moves at {message} by what it says",
+            f"the reported position moves at {message}",
             f"at most {1e3 * MOST_M_S:g} mm/s while it stands",
             "have the robot stand still; clean the lenses, light the scene, look at markers and rigid body",
         )

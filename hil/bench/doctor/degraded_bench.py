@@ -16,11 +16,11 @@ from hil.core.package_errors import PackageError
 def open_degraded(
     config: str | Path | BenchConfig, *, emulate: str | None = None, **given: Any
 ) -> tuple[Bench, list[Finding]]:
-    """A bench as `open_bench` returns it, and a failure for every device that had to be left out.
+    """Make a bench as `open_bench` does, and a failure for every device that had to be left out.
 
     Args:
-        config: as of `open_bench`.
-        emulate: as of `open_bench`.
+        config: as in `open_bench`.
+        emulate: as in `open_bench`.
         given: further arguments of `open_bench`.
     """
     left_out: list[Finding] = []

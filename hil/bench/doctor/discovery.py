@@ -1,8 +1,9 @@
 """Finds the devices of a bench and writes a ready `bench.toml`.
 
-Serial ports are named by their USB serial number where the system offers that. Each port is asked
-by every model of the registry that a serial port may hold, those that answer quickly first. What may hold the
-robot is left alone (`ports_not_asked`), and what is written to the other ports can be announced before.
+Serial ports are named by their USB serial number if the system has such links. Each port is probed for every
+serial model of the registry, those that answer quickly first. Ports of devices that may hold the robot are
+not probed (`hil.bench.doctor.protected_ports`). The requests that are
+written to the other ports can be listed before.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ Say = Callable[[str], None]
 
 @dataclass
 class Discovery:
-    """What answered.
+    """Result of a search for devices.
 
     Attributes:
         sections: tables of a bench file, by the name of the device on the bench.
-        parts: by kind, what the devices consist of (each servo of a bus).
-        notes: what a person should know.
-        missing: by kind that was looked for and did not answer, where that was.
-        silent: ports that were named, at which nothing answered.
+        parts: by kind, components of the devices (each servo of a bus).
+        notes: remarks for the user.
+        missing: by kind that did not answer, the places that were searched.
+        silent: ports that the user named, at which nothing answered.
         not_asked: ports to which nothing was written, and why.
     """
 
@@ -49,7 +50,7 @@ class Discovery:
     not_asked: dict[str, str] = field(default_factory=dict)
 
     def take(self, model: DeviceModel, found: Found) -> None:
-        """Add a device that was found."""
+        """Add a device that was found; add a note if the bench has one of the kind already."""
         kind = kinds()[model.kind]
         table = {**({} if kind.models[0].name == model.name else {"model": model.name}), **found.table}
         self.notes += found.notes
@@ -65,13 +66,13 @@ class Discovery:
             self.notes.append(f"{kind.name}: one more answered, and is left out: {table}; a bench has one")
 
     def to_toml(self) -> str:
-        """A bench file; what still needs a person's eye stands in its comments."""
+        """A bench file; its comments say what the user still has to check."""
         head = "".join(f"# {note}\n" for note in self.notes)
         tree = {"schema": 1, "name": "my_bench", "environment": _WALL, **self._tables()}
         return head + tomli_w.dumps(tree)
 
     def _tables(self) -> dict[str, Any]:
-        """What was found by kind; several of a kind in a list."""
+        """Tables by kind; a list for several devices of a kind."""
         tables: dict[str, Any] = {}
         for name, table in self.sections.items():
             tables.setdefault(base_of(name), []).append(table)
@@ -79,7 +80,7 @@ class Discovery:
 
 
 def serial_ports() -> list[str]:
-    """Serial ports of this machine, by stable name where there is one."""
+    """Serial ports of this computer, by their stable names if available."""
     return [stable_name(port.device) for port in list_ports.comports()]
 
 
@@ -93,12 +94,12 @@ def stable_name(port: str) -> str:
 
 
 def what_is_written() -> list[str]:
-    """The requests that discovery writes to a serial port, in order."""
+    """The requests that discovery writes to a serial port, in their order."""
     return [model.probe_writes for model in _asking() if model.probe_writes]
 
 
 def _asking() -> list[DeviceModel]:
-    """The models that may be on a serial port, those that answer quickly first."""
+    """Models to probe on a serial port, those that answer quickly first."""
     models = (model for kind in kinds().values() for model in kind.models if model.can_probe)
     return sorted(models, key=lambda model: model.probe_order)
 
@@ -112,14 +113,14 @@ def discover(
     say: Say = lambda text: None,
     sysfs: Path = Path("/sys"),
 ) -> Discovery:
-    """Ask everything that could be a device.
+    """Search serial ports and all other places for devices.
 
     Args:
-        clock: for time-outs.
-        ports: serial ports or pyserial URLs; all of this machine when None.
+        clock: clock for time-outs.
+        ports: serial ports or pyserial URLs; all of this computer when None.
         left_alone: ports among them to which nothing is written, and why.
-        given: by kind, tables of devices to ask that are not on a serial port (CAN buses to listen on,
-            capture servers); what the system itself offers otherwise.
+        given: by kind, tables of devices to search that are not on a serial port (CAN buses to listen on,
+            capture servers); by default those that the system lists.
         say: receives progress.
         sysfs: folder in which the kernel describes its devices.
     """
@@ -152,7 +153,7 @@ def discover(
 
 
 def _where(models: Sequence[DeviceModel], ports: str, tried: Sequence[str]) -> list[str]:
-    """Where a kind was looked for, and the options for other places."""
+    """Text with the places where a kind was searched, and the options for other places."""
     found = list(dict.fromkeys(tried))
     if any(model.can_probe for model in models):
         found.insert(0, ports)
@@ -171,7 +172,7 @@ def _where(models: Sequence[DeviceModel], ports: str, tried: Sequence[str]) -> l
 
 
 def _ask_serial(found: Discovery, port: str, clock: Clock, models: Sequence[DeviceModel], say: Say) -> bool:
-    """The first model that answers is what the port holds; whether one did."""
+    """Probe a port until the first model answers; return whether one did."""
     for model in models:
         answer = model.probe(port, clock)
         if answer is not None:

@@ -1,11 +1,11 @@
 """Examines a bench without moving it: findings with remedies for each device.
 
-Every device is opened by itself, so that one that is missing does not hide the others, and then read at the
-loop rate for a while. The findings are data; `hil doctor` prints them.
+Every device is opened separately, so that a missing one does not hide the others, and then read at the loop
+rate for a while. The findings are data; `hil doctor` prints them.
 
-Noise of gyro, camera and motion capture at rest is compared with the record's. The mean NIS of a sensor at
-rest is its variance divided by the one that the estimator takes; with the noise of the record it is 1 as
-long as the sensor is what it was.
+Noise of gyro, camera and motion capture at rest is compared with the record. The mean NIS of a sensor at rest
+is its variance divided by the variance that the estimator assumes; with the noise of the record it is 1 as
+long as the sensor has not changed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _BLOCK_S = 0.2
 _FEWEST = 30.0
 _AT_REST = {one.name: one for one in MEASURED if one.state == "rest"}
 _OF_POSES = {"tracker": "camera", "mocap": "mocap"}
-"""Devices that measure poses, and how their figures begin."""
+"""Devices that measure poses, and the prefix of their figures."""
 _REST_N, _FELT_N = 1.0, 5.0
 _WATCH_S = 2.0
 _SETTLE_S = 0.6
@@ -65,8 +65,8 @@ def noise_at_rest(config: BenchConfig, measured: Measurements) -> Iterator[Findi
     """Findings on the sensors' noise; none on a device that delivered too few samples.
 
     Args:
-        config: of the bench.
-        measured: all that was watched, aligned, of a robot at rest.
+        config: the bench configuration.
+        measured: all aligned samples of a robot at rest.
     """
     for one, words, spread in _spreads(measured):
         if spread.freedom >= _FEWEST and one.device in config.devices():
@@ -74,7 +74,7 @@ def noise_at_rest(config: BenchConfig, measured: Measurements) -> Iterator[Findi
 
 
 def _spreads(m: Measurements) -> Iterator[tuple[NoiseFigure, str, Spread]]:
-    """Figures, what they are in words, and their variances."""
+    """Noise figures, their names in messages, and their variances."""
     rates = [(s.stamp.t_ns, s.yaw_rate_rad_s) for s in m.gyro if np.isfinite(s.yaw_rate_rad_s)]
     yield _AT_REST["gyro"], "gyro noise at rest", _white(rates, 1)
     for device, begins in _OF_POSES.items():
@@ -113,17 +113,17 @@ def _finding(config: BenchConfig, one: NoiseFigure, words: str, spread: Spread) 
         level,
         found,
         f"{expected} ({part.measured[:10]})",
-        "look at what shakes or dazzles it; if it stays, measure it anew: hil run sensor_noise",
+        "look at what shakes or dazzles it; if it stays, measure it again: hil run sensor_noise",
     )
 
 
 def unexplained_force(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """Whether the cells feel what the fan makes by its speed; of a fan at rest only where they do not.
+    """Compare the force by load cells with that by fan speed; with the fan at rest, report only deviations.
 
-    A cell's zero that is not what it was when `adhesion_check` found it is seen by that.
+    This detects a cell zero that has changed since `adhesion_check`.
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
         seen: samples of every kind that was watched.
     """
     fan, cells = config.of(AdhesionConfig), config.of(LoadCellsConfig)
@@ -164,15 +164,15 @@ def _of_a_running_fan(felt_n: float, made_n: float) -> Finding:
 
 
 def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> Iterator[Finding]:
-    """Findings about the machine, the calibration and every device of a bench that has not been entered.
+    """Findings about the computer, the calibration and every device of a bench.
 
     Args:
-        bench: as `open_bench` returned it; its devices are opened and closed here.
-        watch_s: how long each is read.
+        bench: result of `open_bench`, not entered; its devices are opened and closed here.
+        watch_s: how long each device is read, s.
         host: folders in which the kernel describes this machine.
 
     Raises:
-        Aborted: a person or a signal ended it.
+        Aborted: a person or a signal ended the examination.
     """
     seen: dict[str, list[Any]] = {}
     try:
@@ -194,13 +194,13 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
 
 
 def _aligned(bench: Bench, seen: Mapping[str, Sequence[Any]]) -> Measurements:
-    """What was seen by the sensors of motion, as of one cycle."""
+    """Align the samples of IMU, camera and motion capture as if of one cycle."""
     samples: dict[str, Any] = {name: tuple(seen.get(name, ())) for name in ("imu", "tracker", "mocap")}
     return Alignment(bench.model.alignment_parameters).measure(Inputs(0, 0, **samples))
 
 
 def _calibration(bench: Bench) -> Iterator[Finding]:
-    """Calibrated wheels belong to the wheel model that they were fitted with."""
+    """Finding whether the estimator uses the wheel model that the calibration was fitted with."""
     if not bench.calibration:
         return
     used, wanted = bench.config.estimator.wheels.model, wheel_model(bench.model.fitted_with)
@@ -213,14 +213,14 @@ def _calibration(bench: Bench) -> Iterator[Finding]:
 def _examine_one(
     bench: Bench, kind: str, watch_s: float, host: Host, seen: dict[str, list[Any]]
 ) -> Iterator[Finding]:
-    """Findings about one device; `seen` receives what it delivered."""
+    """Findings about one device; `seen` receives its samples."""
     device = bench.rig.get(kind)
     reported = list(_latency_timer(bench, kind, host))
     yield from reported
     try:
         device.open()
     except Aborted:
-        raise  # a stop from outside says nothing of the device
+        raise  # a stop from outside is not a fault of the device
     except HilError as error:
         yield _slowness_first(reported, _failure(device, "open", error))
         return
@@ -244,7 +244,7 @@ def _examine_one(
 def _looks(
     bench: Bench, name: str, device: Any, watch_s: float, seen: dict[str, list[Any]]
 ) -> Iterator[Finding]:
-    """What kind and model have to say of a device after it was read for a while."""
+    """Findings by the checks of kind and model after a device was read for a while."""
     kind, model, config = kinds()[name], model_of(bench.config, name), bench.config.devices()[name]
     waits_s: list[float] = []
     samples = seen[name] = _watch(bench, device, watch_s, waits_s)
@@ -262,7 +262,7 @@ def _failure(device: Device, check: str, error: HilError) -> Finding:
 
 
 def _slowness_first(earlier: list[Finding], finding: Finding) -> Finding:
-    """Put the remedy for a slow adapter first: it makes all that is behind it look dead."""
+    """Put the remedy for a slow adapter first: with it every device behind it seems dead."""
     slow = [f.remedy for f in earlier if f.check in _SLOWNESS and f.level != "ok"]
     if not slow or finding.level != "failure" or finding.check not in _HURT_BY_SLOWNESS:
         return finding
@@ -270,7 +270,7 @@ def _slowness_first(earlier: list[Finding], finding: Finding) -> Finding:
 
 
 def _watch(bench: Bench, device: Any, watch_s: float, waits_s: list[float]) -> list[Any]:
-    """Everything read from a device at the loop rate; `waits_s` receives how long each read took."""
+    """Read a device at the loop rate and return all samples; `waits_s` receives each read's duration."""
     samples: list[Any] = []
     period_ns = nanoseconds(1.0 / bench.config.loop.rate_hz)
     next_ns = bench.clock.now_ns()
@@ -284,7 +284,7 @@ def _watch(bench: Bench, device: Any, watch_s: float, waits_s: list[float]) -> l
 
 
 def _latency_timer(bench: Bench, name: str, host: Host) -> Iterator[Finding]:
-    """USB serial adapters as delivered wait 16 ms for more before they pass on what they hold."""
+    """Finding on the latency timer of a USB serial adapter: by default data are delayed by up to 16 ms."""
     config = bench.config.devices()[name]
     port = getattr(config, "port", None)
     timer = latency_timer(port, host.sysfs) if isinstance(port, str) else None

@@ -1,8 +1,8 @@
 """Compares gravity and turn rate of the IMU at rest with the results of `imu_calibration` in the record.
 
-On a wall gravity and motion capture both tell the heading. The record's mount of the IMU is the one with
-which they agreed, so what lies between them at rest is by how much the IMU, or the rigid body of motion
-capture, has turned since, also while no program ran. The turn rate of a robot at rest is the gyro's bias.
+On a wall, gravity and motion capture both give the heading. With the IMU mount in the record they agreed, so
+their difference at rest is the rotation of the IMU, or of the rigid body of motion capture, since then, even
+while no program ran. The turn rate of a robot at rest is the gyro's bias.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ WARN_RAD, STOP_RAD = 0.03, 0.09
 """Errors of heading for a warning, and for a filter without the IMU. An accelerometer that has warmed
 up by 20 K is off by 0.02 rad; beyond 5 deg `imu_calibration` fails."""
 WARN_RAD_S, STOP_RAD_S = math.radians(0.1), math.radians(3.0)
-"""Likewise of the turn rate: the limit of `imu_calibration`, and of the data sheet (BST-BNO055-DS000)."""
+"""The same for the turn rate: the limit of `imu_calibration`, and of the data sheet (BST-BNO055-DS000)."""
 _FEWEST = 20
-"""Samples of each; their noise is then at most a fifth of the limit for a warning."""
+"""Smallest number of samples of each sensor; the noise is then at most a fifth of the limit for a warning."""
 
 
 def inertial_changes(config: BenchConfig, measured: Iterable[Measurements]) -> Iterator[Finding]:
-    """What has changed of the IMU since the record's part `inertial`; nothing where none is kept or seen.
+    """Findings on changes of the IMU since the record's part `inertial`; none without record or samples.
 
     Args:
-        config: of the bench.
-        measured: aligned, of a robot at rest.
+        config: the bench configuration.
+        measured: aligned measurements of a robot at rest.
     """
     elsewhere = config.elsewhere()
     part = None if "imu" in elsewhere else known_parts(config).get("inertial")
@@ -81,10 +81,10 @@ def _level(size: float, warn: float, stop: float) -> Level:
 
 
 class InertialWatch:
-    """What the latest rest of a bench has shown of its IMU.
+    """State of the IMU as measured during the latest rest of the robot.
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
     """
 
     def __init__(self, config: BenchConfig) -> None:
@@ -92,17 +92,17 @@ class InertialWatch:
         self._changed: list[Finding] = []
 
     def rested(self, motion: Motion) -> Iterator[str]:
-        """Take a rest, after devices were opened or a motion ended; yields warnings."""
+        """Process the measurements of a rest, after opening devices or after a motion; yields warnings."""
         found = inertial_changes(self._config, (r.measurements for r in motion.records))
         self._changed = [finding for finding in found if finding.level != "ok"]
         for finding in self._changed:
             yield f"{_in_words(finding)}; {finding.remedy}"
 
     def must_be_usable(self) -> None:
-        """Refuse to move by a filter that uses an IMU which has changed by far.
+        """Refuse to move by a filter that uses an IMU with a large change.
 
         Raises:
-            DeviceError: names how far.
+            DeviceError: gives the change and the limit.
         """
         for finding in self._changed:
             if finding.level == "failure":

@@ -1,7 +1,7 @@
 """Findings on the ports of a bench: other programs that use them, USB supply, unstable names; udev rules.
 
-The USB tree is read as Linux shows it in `/sys`: which device is behind a port, on which hub, with what
-supply. The rules set latency timer and access, and keep suspend and other programs off the adapters.
+The USB tree is read from `/sys` of Linux: which device is behind a port, on which hub, with what supply. The
+udev rules set latency timer and access rights, and protect the adapters from suspend and other programs.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ _TIMER = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{laten
 
 @dataclass(frozen=True)
 class UsbDevice:
-    """A device on USB.
+    """A USB device.
 
     Attributes:
-        folder: in which the kernel describes it.
+        folder: its folder in sysfs.
         vendor, product: ids, four hexadecimal digits each.
         serial: its serial number; empty where it has none.
-        name: as it calls itself.
-        speed_mbit: of its link; 0 if unknown.
+        name: product name that the device reports.
+        speed_mbit: link speed, Mbit/s; 0 if unknown.
     """
 
     folder: Path
@@ -63,16 +63,16 @@ class UsbDevice:
 
     @property
     def place(self) -> str:
-        """Bus and ports: `1-2.3`."""
+        """Bus and ports, for example `1-2.3`."""
         return self.folder.name
 
     @property
     def may_sleep(self) -> bool:
-        """Whether the kernel may suspend it."""
+        """Whether the kernel may suspend the device."""
         return text_of(self.folder / "power/control") == "auto"
 
     def starved_by(self) -> tuple[str, int] | None:
-        """A hub without supply on which it hangs, and what its devices ask for (mA), if that is too much."""
+        """The bus-powered hub of the device, and the current of its devices (mA), if too high; else None."""
         hub = self.folder.parent
         powered = _number(text_of(hub / "bmAttributes"), 16)
         is_root = hub.name.startswith("usb")
@@ -105,7 +105,7 @@ def plugged_in(ids: set[tuple[str, str]], sysfs: Path) -> list[UsbDevice]:
 
 
 def read(folder: Path) -> UsbDevice:
-    """The kernel's description of one device."""
+    """Read the sysfs entry of one USB device."""
     vendor, product, serial, name, speed = (
         text_of(folder / key) for key in ("idVendor", "idProduct", "serial", "product", "speed")
     )
@@ -113,7 +113,7 @@ def read(folder: Path) -> UsbDevice:
 
 
 def text_of(path: Path) -> str:
-    """A file of the kernel; empty where it cannot be read."""
+    """Text of a sysfs file; empty if it cannot be read."""
     try:
         return path.read_text(errors="replace").strip()
     except OSError:
@@ -139,10 +139,10 @@ _CAMERA = tuple(
 
 @dataclass(frozen=True)
 class Host:
-    """Folders in which the kernel describes this machine.
+    """Folders in which the kernel describes this computer.
 
     Attributes:
-        sysfs, proc: of the kernel.
+        sysfs, proc: mount points of sysfs and procfs.
         by_id: links to serial ports by their adapters' serial numbers.
     """
 
@@ -152,7 +152,7 @@ class Host:
 
 
 def real_ports(config: BenchConfig) -> Mapping[str, str]:
-    """Local serial ports of devices that are not emulated, by device; pseudo-terminals are no hardware."""
+    """Local serial ports of real devices, by device; without pseudo-terminals."""
     ports = {}
     for name, device in config.devices().items():
         port = getattr(device, "port", None)
@@ -164,10 +164,10 @@ def real_ports(config: BenchConfig) -> Mapping[str, str]:
 
 
 def host_findings(config: BenchConfig, host: Host) -> Iterator[Finding]:
-    """Findings about the machine, as far as this bench is concerned by it.
+    """Findings about the computer that concern this bench.
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
         host: folders in which the kernel describes this machine.
     """
     ports = real_ports(config)
@@ -191,7 +191,7 @@ def host_findings(config: BenchConfig, host: Host) -> Iterator[Finding]:
 
 
 def _names(name: str, port: str, host: Host) -> Iterator[Finding]:
-    """`ttyUSB0` is another adapter after the next plugging in."""
+    """Finding on an unstable port name: `ttyUSB0` may be another adapter after replugging."""
     device = Path(port).resolve()
     links = sorted(host.by_id.glob("*")) if host.by_id.is_dir() else []
     stable = next((link for link in links if link.resolve() == device), None)
@@ -258,10 +258,10 @@ def _camera(found: UsbDevice) -> Iterator[Finding]:
 
 
 def udev_rules(config: BenchConfig, sysfs: Path) -> str:
-    """Text of a rules file for what is plugged in.
+    """Text of a udev rules file for the connected adapters.
 
     Args:
-        config: of the bench; its real devices on local ports count.
+        config: the bench configuration; its real devices on local ports count.
         sysfs: folder in which the kernel describes its devices.
     """
     lines = [

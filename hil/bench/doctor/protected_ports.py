@@ -1,8 +1,8 @@
 """Finds the serial ports that discovery must not write to, since a device there may hold the robot.
 
-A port says nothing of what is behind it, and a controller of propellers may take any strange byte for an
-error and slow down. So a port is left alone where another program has it open, where a bench file has a
-device that holds the robot, and where the adapter itself is such a device by its USB ids.
+A port does not show which device is behind it, and a propeller controller may treat any unknown byte as an
+error and slow down. So discovery does not write to a port that another program has open, that a bench file
+assigns to a device that holds the robot, or whose adapter is such a device by its USB ids.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _WAIT_S = 0.1
 
 
 def ports_that_hold(named_files: Sequence[Path], folder: Path) -> dict[str, str]:
-    """Serial ports at which bench files have a device that holds the robot: what it is, by device path.
+    """Devices that hold the robot and their serial ports, from bench files: description by device path.
 
     Args:
         named_files: bench files that the user named.
-        folder: its bench files are heeded, too; those that cannot be read tell nothing.
+        folder: folder with further bench files; unreadable ones are ignored.
 
     Raises:
-        ConfigError: a file that was named is no bench file.
+        ConfigError: a named file is not a bench file.
     """
     for path in named_files:
         load_bench(str(path))
@@ -48,7 +48,7 @@ def ports_that_hold(named_files: Sequence[Path], folder: Path) -> dict[str, str]
 
 
 def _holding(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Port and noun of each device of a bench file that holds the robot and is on a serial port."""
+    """Port and noun of each device in a bench file that holds the robot and has a serial port."""
     for name, kind in kinds().items():
         table = tree.get(name)
         if not kind.holds_robot or not isinstance(table, dict) or table.get("backend", "real") != "real":
@@ -61,16 +61,16 @@ def _holding(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _place(port: str) -> str:
-    """A port by the one name that all links to it share; a URL as it is."""
+    """Canonical device path of a port, with links resolved; a URL is unchanged."""
     return port if "://" in port else os.path.realpath(port)
 
 
 def why_not_asked(port: str, holding: Mapping[str, str]) -> str:
-    """Why nothing may be written to a port; empty where something may.
+    """Why discovery must not write to a port; empty if it may.
 
     Args:
         port: device path, a link to one, or a pyserial URL.
-        holding: as `ports_that_hold` gives it.
+        holding: result of `ports_that_hold`.
     """
     if (why := why_it_holds(port, holding)) or "://" in port:
         return why
@@ -80,11 +80,11 @@ def why_not_asked(port: str, holding: Mapping[str, str]) -> str:
 
 
 def why_it_holds(port: str, holding: Mapping[str, str]) -> str:
-    """Why a port is taken for one that holds the robot; empty where nothing says so.
+    """Why a port may belong to a device that holds the robot; empty for no reason.
 
     Args:
         port: device path, a link to one, or a pyserial URL.
-        holding: as `ports_that_hold` gives it.
+        holding: result of `ports_that_hold`.
     """
     path = _place(port)
     if path in holding:
@@ -94,7 +94,7 @@ def why_it_holds(port: str, holding: Mapping[str, str]) -> str:
 
 
 def _by_usb(path: str) -> DeviceModel | None:
-    """The model that holds a robot and has the USB ids of a port's adapter."""
+    """The device model that holds a robot and has the USB ids of a port's adapter; None without one."""
     ids = next(((p.vid, p.pid) for p in list_ports.comports() if os.path.realpath(p.device) == path), None)
     holding = (model for kind in kinds().values() if kind.holds_robot for model in kind.models)
     return next((model for model in holding if ids in model.usb), None)
@@ -110,5 +110,5 @@ def _cannot_be_opened(port: str) -> str:
 
 
 def what_is_kept() -> list[str]:
-    """Fans and propellers that are kept running on this computer now, each by bus and controller."""
+    """Fans and propellers that daemons on this computer keep running now, each by bus and controller."""
     return running_daemons()

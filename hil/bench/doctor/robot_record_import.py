@@ -28,7 +28,7 @@ _FILES = ("imu.calibration_file", "calibration")
 
 @dataclass(frozen=True)
 class _Found:
-    """Parts that a file holds, and where it comes from."""
+    """Parts that a file contains, and their origin."""
 
     parts: dict[str, NewPart]
     origin: Origin
@@ -37,21 +37,21 @@ class _Found:
 def import_record(
     record: RobotRecord, source: Path, config: BenchConfig, now: str, *, of_this_robot: bool = False
 ) -> tuple[str, ...]:
-    """Take the parts that a file or another record holds, as a new version.
+    """Import the parts of a file or of another record, as a new version.
 
     Args:
-        record: that takes them.
+        record: record that receives the parts.
         source: `part_NAME.toml`, `calibration.toml`, `bench_fragment.toml`, or the folder of a record.
-        config: bench of the robot that they belong to.
+        config: bench configuration of the robot that they belong to.
         now: date and time, ISO 8601.
-        of_this_robot: the user vouches for a file that does not say of which robot it is.
+        of_this_robot: whether the user confirms the robot of a file that does not name its robot.
 
     Returns:
-        Names of the parts that had to go.
+        Names of the removed parts.
 
     Raises:
-        ConfigError: it is none of these, is of another robot or does not say of which, was left by a run that
-            did not pass, or holds values that no such robot can have.
+        ConfigError: the source is none of these, belongs to another robot or names none, comes from a run
+            that did not pass, or contains values that are impossible for this robot.
     """
     robot = identity(config)
     if source.is_dir():
@@ -92,7 +92,7 @@ def _of_file(path: Path, config: BenchConfig, now: str) -> _Found:
 
 
 def _check_values(path: Path, values: Mapping[str, Any], config: BenchConfig) -> None:
-    """Refuse values that procedure or bench file would refuse; raises `ConfigError` with all of them."""
+    """Raise `ConfigError` with all values that a procedure or a bench file would refuse."""
     problems = list(implausible({key: value for key, value in values.items() if key not in _FILES}))
     if not problems:
         present = config.devices()
@@ -144,7 +144,7 @@ def _of_calibration(path: Path, file: CalibrationFile, config: BenchConfig) -> _
 
 
 def _of_fragment(path: Path, tree: Mapping[str, Any], config: BenchConfig, now: str) -> _Found:
-    """Keys of a piece of a bench file, each to the part that may hold it."""
+    """Convert a bench-file fragment to parts of a record, by the keys that each part may hold."""
     origin = of_fragment(path)
     origin.must_have_passed(path)
     found: dict[str, dict[str, Any]] = {}

@@ -1,7 +1,7 @@
 """Compares external steering encoders with the servos' angles at rest, by the offsets in the record.
 
-Both are measured apart from each other, so what lies between them is no matter of where a wheel points: it
-changes where a horn or an encoder has slipped, also while no program ran.
+The two angles are measured independently, so their difference does not depend on the steering angle. It
+changes when a horn or an encoder has slipped, even while no program ran.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from hil.core.signals import WHEELS, EncoderSample, ServoSample, Status
 def encoder_minus_servo(
     config: BenchConfig, encoders: Sequence[EncoderSample], servos: Sequence[ServoSample]
 ) -> tuple[float, ...]:
-    """(4,) encoder less servo of each steering axis, signs applied and zeros not, rad; NaN where unknown.
+    """Encoder minus servo angle (4,) per steering axis, with signs, without zeros, rad; NaN if unknown.
 
     Args:
-        config: of the bench, for the signs.
+        config: the bench configuration, for the signs.
         encoders: samples of a robot at rest.
-        servos: samples of the same time, or of another while nothing moved.
+        servos: samples of the same rest.
     """
     table = config.of(EncodersConfig)
     if table is None:
@@ -40,9 +40,9 @@ def encoder_minus_servo(
 
 
 def expected_offsets_rad(config: BenchConfig) -> tuple[float, ...] | None:
-    """(4,) what encoder less steering angle should be, zeros applied, as the loop compares them.
+    """Expected encoder minus steering angle (4,), with zeros, as the loop compares them, rad.
 
-    None where the record keeps nothing of it.
+    None if the record has no offsets.
     """
     table, own = config.of(EncodersConfig), config.alignment
     if table is None or table.minus_servo_rad is None:
@@ -54,10 +54,10 @@ def expected_offsets_rad(config: BenchConfig) -> tuple[float, ...] | None:
 
 
 def slipped_between(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """Findings on the steering axes; none without offsets in the record, or samples of a device.
+    """Findings on slipped steering axes; none without recorded offsets, or without samples.
 
     Args:
-        config: of the bench.
+        config: the bench configuration.
         seen: samples of every kind that was watched, at rest.
     """
     table, servos = config.of(EncodersConfig), config.of(ServosConfig)

@@ -1,1 +1,1 @@
-"""HELD or NOT HELD: how the robot is held on its wall, and the checks of it."""
+"""Checks whether the robot is held on its wall; the result is HELD or NOT HELD."""

@@ -1,11 +1,11 @@
 """Checks that the fan's force is measured and holds the robot: one condition of HELD.
 
-A robot whose fan has just died still stands still. A controller without reports may have let go of its
-motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
-trusted until the load cells have felt enough force for longer than that, and a force that falls is doubted
-before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
-report nothing may not have understood it: they count once the robot has been seen at rest for as long as they
-would need to let it slide (`hil.bench.hold.propeller_handover`). Load cells do not feel their push.
+A robot whose fan has just failed is still at rest. A controller without reports may have stopped its motor,
+or will do so at its time-out, and the fan takes a second to run down. So a silent fan is not trusted until
+the load cells have measured enough force for longer than that, and a falling force counts as NOT HELD before
+it is too small. Propellers carry a part of the weight: their reported push counts. Propellers without reports
+may not have understood the command: they count once the robot has been at rest for as long as they would need
+to let it slide (`hil.bench.hold.propeller_handover`). Load cells do not measure their push.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from hil.loop.checks.force_trend import ForceTrend
 from hil.loop.device_set import DeviceSet
 
 RUN_DOWN_S = 1.0
-"""A fan without current has lost more force than any reserve by then."""
+"""By then a fan without current has lost more force than any reserve."""
 _AHEAD_S = 6.0
-"""A force that falls holds the robot only where it will be enough for so long."""
+"""A falling force holds the robot only if it will be sufficient for this time."""
 MEASURES = ("adhesion", "load_cells")
-"""Kinds whose samples tell a force."""
+"""Kinds whose samples give a force."""
 FAN, _CELLS = "the fan's speed", "the load cells"
 
 
 def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
-    """(sensor, time in ns, force in N) of each usable sample of what presses the robot.
+    """(sensor, time in ns, force in N) of each usable sample of the adhesion force.
 
     Args:
-        limits: of the bench.
-        samples: of the kinds in `MEASURES`.
+        limits: adhesion limits of the bench.
+        samples: samples of the kinds in `MEASURES`.
     """
     for sample in samples:
         if worst(sample) is Status.OK:
@@ -52,19 +52,19 @@ def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple
 
 
 class AdhesionForceCheck:
-    """Follows fan and load cells of a robot that has been stopped on a wall.
+    """Monitors fan and load cells of a robot that has been stopped on a wall.
 
     Args:
         rig: devices of the bench.
-        limits: what they must feel; None where nothing reports a force, or nothing can let the robot fall.
-        fan: of the bench, if its controller lets go by itself.
-        alone: of propellers that report nothing.
+        limits: required forces; None where no device reports a force, or the robot cannot fall.
+        fan: the fan's settings, if its controller stops the motor at a time-out.
+        alone: check of propellers that report nothing.
         carried: whether such propellers carry a robot that can fall.
         pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
 
     Attributes:
-        heading_rad: of the body, as estimated last.
-        waits: whether propellers that are left alone are all that is still in doubt.
+        heading_rad: last estimated heading of the body.
+        waits: whether only the check of propellers without commands is unfinished.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class AdhesionForceCheck:
         self.waits = False
 
     def begin(self, *, for_good: bool = False) -> None:
-        """A look begins, the last one or not: what was heard before it is out of date."""
+        """Begin a check and discard earlier samples; `for_good`: the last check before the bench closes."""
         self._forces.clear()
         self._trends.clear()
         self._push = None
@@ -96,17 +96,17 @@ class AdhesionForceCheck:
         self._alone.begin(for_good=for_good)
 
     def end(self) -> None:
-        """End the check: propellers that were left alone are sent their force again."""
+        """End the check and resume sending commands to the propellers."""
         self._alone.end()
         self.waits = False
 
     def doubt(self, now_ns: int, *, sees_slide: bool, moves: bool = False) -> str:
-        """What speaks against a robot that is pressed on its wall for good; empty when nothing does.
+        """Why the robot may not stay pressed on its wall; empty for no reason.
 
         Args:
-            now_ns: time.
-            sees_slide: whether a trusted sensor sees places, and the robot at rest.
-            moves: whether the robot is seen not to rest.
+            now_ns: present time.
+            sees_slide: whether a trusted position sensor shows the robot at rest.
+            moves: whether a sensor shows motion.
         """
         self.waits = False
         if self._limits is None:
@@ -141,7 +141,7 @@ class AdhesionForceCheck:
         return ""
 
     def _outlasted(self, now_ns: int, fresh: Mapping[str, float]) -> bool:
-        """Whether a fan is heard, or has been pressing unheard for longer than one that has let go would."""
+        """Whether the fan reports, or has pressed without reports for longer than its run-down time."""
         if not (self._limits and self._limits.has_fan) or FAN in fresh:
             self._enough_since_ns = None
             return True
@@ -150,7 +150,7 @@ class AdhesionForceCheck:
         return now_ns - self._enough_since_ns >= self._outlasts_ns
 
     def _nothing_real(self) -> str:
-        """The message where fan or propellers are emulated, and no sensor measures them either."""
+        """Message if fan or propellers are emulated and no sensor measures the force; else empty."""
         if not self._pretended:
             return ""
         return (
@@ -160,7 +160,7 @@ class AdhesionForceCheck:
         )
 
     def _unmeasured(self, now_ns: int, sees_slide: bool, moves: bool) -> str:
-        """The message where propellers without feedback carry it and no sensor measures the force."""
+        """Message if unmonitored propellers carry the robot and no sensor measures the force; else empty."""
         if not self._carried:
             return ""
         left_s = self._alone.left_s(now_ns, rests=sees_slide, moves=moves, least_n=0.0)
@@ -173,7 +173,7 @@ class AdhesionForceCheck:
     def _counted_push(
         self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
     ) -> tuple[float, str]:
-        """What the propellers push with for certain (N), and in words why that is not all."""
+        """Confirmed push of the propellers (N), and why it is less than commanded, as a text."""
         limits = self._limits
         assert limits is not None
         if not limits.nominal_thrust_n:
@@ -198,7 +198,7 @@ class AdhesionForceCheck:
     def _unheard_push(
         self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
     ) -> tuple[float, str]:
-        """As `_counted_push`, of propellers that report nothing; not asked where the fan alone holds."""
+        """As `_counted_push`, for propellers without reports; (0, "") where the fan alone holds the robot."""
         limits = self._limits
         assert limits is not None
         statics, heading_rad, asked_n = limits.statics, self.heading_rad, limits.nominal_thrust_n
@@ -213,11 +213,11 @@ class AdhesionForceCheck:
         return 0.0, f" without the propellers: they report nothing, and {_to_be_seen(left_s)}"
 
     def feels(self, now_ns: int) -> bool:
-        """Whether load cells have just felt the force: enough of it, where nothing is doubted."""
+        """Whether the load cells have measured the force recently; it is sufficient if `doubt` is empty."""
         return _CELLS in self._fresh(now_ns)
 
     def in_words(self, now_ns: int) -> str:
-        """The forces that press it, by sensor, and the silent sensors, in words; empty without a sensor."""
+        """Text with the adhesion force by each sensor, and the silent sensors; empty without a sensor."""
         if self._limits is None:
             return ""
         fresh = self._fresh(now_ns)
@@ -244,16 +244,16 @@ class AdhesionForceCheck:
 
 
 def _to_be_seen(left_s: float) -> str:
-    """The observation time that propellers without reports still need to count, in words."""
+    """Text with the remaining observation time before propellers without reports count."""
     if math.isfinite(left_s):
         return f"the robot is to be seen at rest for {left_s:.1f} s more"
     return "no sensor sees whether it slides, or knows how long they would need to let it"
 
 
 def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
-    """Make the check of a bench: for a robot that hangs on a wall without a tether.
+    """Make the check for a bench whose robot hangs on a wall without a tether.
 
-    What is in another world than the servos presses another robot, or none.
+    Devices in another world than the servos are left out: they do not press this robot.
     """
     pretended = pretended_holders(config)
     config = config.of_one_world()

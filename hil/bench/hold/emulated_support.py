@@ -1,6 +1,6 @@
 """The messages of `hil emulate` on a wall: the robot is held by hand until a client enables torque.
 
-From then on it slides when it has none, as a real one does.
+From then on it slides without torque, as a real robot does.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _FAR_M = 10.0
 
 
 class EmulatedSupport:
-    """Looks at the emulated robot itself, not at what clients have asked of it.
+    """Uses the true state of the emulated robot, not the commands of clients.
 
     Args:
-        config: of the bench.
-        world: that the robot is in.
-        servos: whether they are served, so that a client can enable them.
+        config: the bench configuration.
+        world: the robot's world.
+        servos: whether the servos are served, so that a client can enable them.
     """
 
     def __init__(self, config: BenchConfig, world: World, servos: bool) -> None:
@@ -34,7 +34,7 @@ class EmulatedSupport:
         self._first = self._truth().pose_body_in_wall.copy()
 
     def at_the_start(self) -> str:
-        """One line; empty where the robot cannot slide. Servos that were just switched on have no torque."""
+        """Message at the start; empty if the robot cannot slide. Servos have no torque after power-on."""
         if not self._can_slide:
             return ""
         until = "let go when a client enables torque; without torque it slides from then on"
@@ -44,7 +44,7 @@ class EmulatedSupport:
         return "at the start " + seen_in_words(Held("NOT HELD", None, why))
 
     def at_the_end(self) -> str:
-        """One line: whether it rests on its wall, how far from where it began; empty as `at_the_start`."""
+        """Message at the end: whether the robot rests on its wall, and its displacement; or empty."""
         if not self._can_slide:
             return ""
         truth = self._truth()

@@ -16,19 +16,19 @@ from hil.loop.device_set import DeviceSet
 
 _EVERY_NS = nanoseconds(0.5)
 _MARGIN = 1.1
-"""Over the limit at which the robot would be stopped."""
+"""Factor on the force limit below which the robot is stopped."""
 LARGEST_STEP_DOWN_N, _CHANGE_N = 0.5, 0.25
-"""So that it is not taken for a loss; smallest change that is reported."""
+"""Largest step that is not taken for a loss of force; smallest change that is reported."""
 _RAISED_N = 2.0
-"""A fan that gives so much more than was asked for here was raised by a stop."""
+"""A fan that exceeds the set-point of this class by so much was raised by a stop."""
 
 
 class ForceController(Sink):
-    """Sees the cycles go by and asks the fan for what the present heading needs.
+    """Sink that sets the fan's force by the present heading.
 
     Args:
-        config: of a bench with a fan on a wall.
-        rig: its devices.
+        config: configuration of a bench with a fan on a wall.
+        rig: devices of the bench.
     """
 
     def __init__(self, config: BenchConfig, rig: DeviceSet) -> None:
@@ -40,7 +40,7 @@ class ForceController(Sink):
         self._next_ns = 0
 
     def write(self, record: CycleRecord) -> None:
-        """Twice a second: more at once, less in small steps."""
+        """Adjust the force twice a second: raise it at once, lower it in small steps."""
         t_ns = record.inputs.t_ns
         if t_ns < self._next_ns or self._limits is None or "adhesion_n" not in record.state.diagnostics:
             return
@@ -60,11 +60,11 @@ class ForceController(Sink):
             self._asked_n = force_n
 
     def close(self) -> None:
-        """The fan goes on with what it was asked for last."""
+        """Do nothing: the fan keeps its last set-point."""
 
 
 def by_need(config: BenchConfig, rig: DeviceSet) -> tuple[Sink, ...]:
-    """What adjusts the force of a bench, if `adhesion.by_need` asks for it."""
+    """The sink that adjusts the force of a bench, if `adhesion.by_need` is set."""
     fan = config.of(AdhesionConfig)
     on = fan is not None and fan.by_need and config.environment.on_wall
     return (ForceController(config, rig),) if on else ()

@@ -1,7 +1,7 @@
 """Detects jumps of a sensor's reference frame (body redefined, camera relocalised); they are not motion.
 
-Motion capture whose rigid body was defined anew, and a camera that corrects its map, say from one sample to
-the next that the robot is somewhere else. Positions before and after must not be subtracted.
+Motion capture whose rigid body was redefined, and a camera that corrects its map, report another position
+from one sample to the next. Positions before and after must not be subtracted.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
 
 Place = list[float]
-"""In m; in every cycle plain numbers cost less than arrays of three."""
+"""Position in m; plain floats cost less per cycle than arrays of three."""
 
 _SLACK_M, _PULL_M_S2 = 0.008, 5.0
-"""By how much a step may differ from the one before: noise, and half of gravity's pull for one that falls."""
+"""Largest difference between two steps: noise (m), and half the acceleration of gravity of a falling one."""
 _GAP_NS, _TOGETHER_NS = NS_PER_S // 20, NS_PER_S // 4
-"""Behind a longer gap the robot may be anywhere, but where the estimate goes on, or another sees it rest: one
-that has seen it nearly when the gap began and when it ended."""
+"""After a longer gap the position is unknown, unless the estimate covers the gap, or another sensor with
+samples close to the beginning and the end of the gap shows the robot at rest.
+"""
 _ESTIMATED = 0.1
-"""By which share of its way in such a gap the estimate may be off."""
+"""Largest error of the estimate in a gap, as a share of the distance."""
 _KEPT = 64
 
 
@@ -32,9 +33,9 @@ class _Track:
     """The recent positions of one sensor.
 
     Attributes:
-        seen: its newest places.
-        step, step_s: the latest step that was no jump, and how long it took.
-        estimated: (2,) m, where the estimate had the robot at its newest place; None where nothing did.
+        seen: its newest positions.
+        step, step_s: the latest step that was not a jump, and its duration.
+        estimated: (2,) m, estimated position at the time of the newest position; None without an estimate.
     """
 
     def __init__(self, t_ns: int, place: Place, estimated: Array | None) -> None:
@@ -45,7 +46,7 @@ class _Track:
 
 @dataclass(frozen=True)
 class _Gap:
-    """`way`: to the first sample behind it; `seen`: where others saw the robot as it began."""
+    """`way`: displacement across the gap; `seen`: positions by other sensors at its beginning."""
 
     ended_ns: int
     way: Place
@@ -53,10 +54,10 @@ class _Gap:
 
 
 class FrameJumps:
-    """Follows all sensors of a position.
+    """Follows the positions of all position sensors.
 
     Attributes:
-        off_m: by how much a frame has moved since the beginning, by kind.
+        off_m: total displacement of a sensor's frame, by kind.
     """
 
     def __init__(self) -> None:
@@ -65,11 +66,11 @@ class FrameJumps:
         self.off_m: dict[str, Place] = {}
 
     def size_m(self, name: str) -> float:
-        """How far a frame has moved."""
+        """Distance by which the frame of a sensor has moved, m."""
         return math.hypot(*self.off_m.get(name, (0.0,)))
 
     def run_ended(self) -> None:
-        """The next run may begin to estimate anywhere."""
+        """Discard the estimates: the next run may begin at any estimate."""
         for track in self._tracks.values():
             track.estimated = None
 
@@ -79,13 +80,13 @@ class FrameJumps:
         self._gaps.pop(name, None)
 
     def follow(self, name: str, t_ns: int, place: Array, estimated: Array | None = None) -> tuple[str, ...]:
-        """Take a sample; kinds whose frame has moved as it shows.
+        """Process a sample; return the kinds whose frame has moved.
 
         Args:
-            name: of its kind.
-            t_ns: of the sample.
-            place: (k,) m.
-            estimated: (2,) m, where the robot is by the estimate that is followed, if one is.
+            name: name of its kind.
+            t_ns: time of the sample.
+            place: (k,) position, m.
+            estimated: (2,) position by the estimate in the loop, m, if there is one.
         """
         here: Place = place.tolist()
         track = self._tracks.get(name)
@@ -114,7 +115,7 @@ class FrameJumps:
         return (*moved, *self._behind_gaps(t_ns))
 
     def _step(self, track: _Track, step: Place, dt_s: float) -> Place | None:
-        """The difference to the step before, where that is a jump; else None."""
+        """The difference from the previous step if it is a jump; else None."""
         before_s = track.step_s
         as_before = [a / before_s * dt_s for a in track.step]
         if math.dist(step, as_before) > _SLACK_M + _PULL_M_S2 * dt_s**2:
@@ -132,7 +133,7 @@ class FrameJumps:
                 yield other, place
 
     def _behind_gaps(self, now_ns: int) -> Iterator[str]:
-        """Sensors that have moved away in their gap, while another saw the robot rest."""
+        """Sensors whose position moved in a gap while another sensor showed the robot at rest."""
         for name, gap in list(self._gaps.items()):
             for other, place in self._others(name, gap.ended_ns):
                 if other in gap.seen and math.dist(place, gap.seen[other]) <= _SLACK_M < math.hypot(*gap.way):

@@ -1,4 +1,4 @@
-"""Opens and closes devices and sinks of a bench together; whatever happens, the robot stays held."""
+"""Opens and closes devices and sinks of a bench together, and keeps the robot held in every case."""
 
 from __future__ import annotations
 
@@ -91,9 +91,9 @@ class HeldDevices:
         self.close()
 
     def close(self) -> None:
-        """Hold the robot and look until that is true (or release it, as configured); close everything.
+        """Hold the robot and check it until it is held (or release it, as configured); close everything.
 
-        Whatever `held` says then is in the recordings too. Idempotent.
+        The final `held` is also recorded. Idempotent.
         """
         if self._closed_ns is None:
             self._closed_ns = self.clock.now_ns()
@@ -114,7 +114,7 @@ class HeldDevices:
 
     @property
     def is_open(self) -> bool:
-        """Whether it has been entered and is not closed yet."""
+        """Whether the bench has been entered and is not closed yet."""
         return self._is_open
 
     def must_be_open(self) -> None:
@@ -131,11 +131,11 @@ class HeldDevices:
         self._stack.close()
 
     def on_open(self, callback: Callable[[], object]) -> None:
-        """Have something else called right before the devices are opened."""
+        """Register a callback that is called right before the devices are opened."""
         self._before_opening.append(callback)
 
     def begin(self) -> None:
-        """Let an emulated world at the wire run, for a caller that opens devices one by one. Idempotent."""
+        """Start the world of served emulated devices, for callers that open devices singly. Idempotent."""
         while self._before_opening:
             self._before_opening.pop(0)()
         if self._begun_ns is None:
@@ -143,12 +143,12 @@ class HeldDevices:
 
     @property
     def world_ns(self) -> int:
-        """How far the emulated world has come, by which faults begin; until the bench was closed."""
+        """Time of the emulated world, by which faults begin; stops when the bench is closed."""
         return self._since_begun_ns(self._closed_ns)
 
     @property
     def looked_ns(self) -> int:
-        """World time until the check of the stopped robot was over; never less than `world_ns`."""
+        """World time at the end of the check of the stopped robot; never less than `world_ns`."""
         return self._since_begun_ns(self._closed_ns if self._looked_ns is None else self._looked_ns)
 
     def _since_begun_ns(self, ended_ns: int | None) -> int:
@@ -157,7 +157,7 @@ class HeldDevices:
         return (self.clock.now_ns() if ended_ns is None else ended_ns) - self._begun_ns
 
     def faults_not_begun(self) -> tuple[str, ...]:
-        """Specs of the planned faults that the world had not come to when the bench was closed."""
+        """Specs of the planned faults that had not begun when the bench was closed."""
         return not_begun(self.faults, self.world_ns)
 
     def not_begun_in_words(self, specs: Sequence[str]) -> str:
@@ -165,15 +165,15 @@ class HeldDevices:
         return not_begun_in_words(specs, self.world_ns, self.looked_ns)
 
     def on_close(self, callback: Callable[[], object]) -> None:
-        """Have something else ended together with the bench, after the devices."""
+        """Register a callback that is called when the bench closes, after the devices."""
         self._stack.callback(callback)
 
     def add_sink(self, sink: Sink) -> None:
-        """Let a sink receive every cycle from now on; the bench closes it."""
+        """Add a sink that receives every cycle from now on; the bench closes it."""
         self._sinks.append(sink)
 
     def remove_sink(self, sink: Sink) -> None:
-        """Stop feeding a sink and close it."""
+        """Remove a sink and close it."""
         self._sinks.remove(sink)
         sink.close()
 
@@ -183,22 +183,22 @@ class HeldDevices:
         self._sinks.clear()
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
-        """Refuse what the limits cannot follow.
+        """Refuse a trajectory that exceeds the limits.
 
         Args:
-            trajectory: what is asked for.
-            known: was checked before; the segments that both end with are not looked at again.
+            trajectory: the requested trajectory.
+            known: a trajectory that was checked before; common segments at the end are not checked again.
 
         Raises:
             TrajectoryError: with the first offending time.
-            UsageError: it is no trajectory.
+            UsageError: `trajectory` is not a trajectory.
         """
         self.model.check(trajectory, known=known)
 
     def header(self) -> dict[str, object]:
-        """As of the model, and where the clock stood against the time of day when this was first called.
+        """Header of the model, and the offset of the clock to the time of day at the first call.
 
-        All recordings of a bench, and what it publishes, have the same stamps.
+        All recordings of a bench, and its published messages, use the same offset for their stamps.
         """
         if self._clock_description is None:
             wall = self.clock.wall_offset()
@@ -207,7 +207,7 @@ class HeldDevices:
         return {**self.model.header(), "clock": self._clock_description}
 
     def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Tell the sinks something that belongs between two cycles."""
+        """Send a note between two cycles to all sinks."""
         for sink in self._sinks:
             sink.note(t_ns, kind, data)
 
@@ -216,23 +216,23 @@ class HeldDevices:
         return self.rig.get(name) is not None
 
     def _steeper(self) -> str:
-        """Why an untethered robot must not be released on what the bench file calls a floor; else empty."""
+        """Why an untethered robot must not be released although the bench file has a floor; else empty."""
         return "" if self.config.safety.tethered else self._hold.tilt.steeper()
 
     @property
     def on_wall(self) -> bool:
-        """Whether gravity pulls along the surface: the robot has to be held."""
+        """Whether gravity acts along the surface, so that the robot has to be held."""
         return self.config.environment.on_wall
 
     def look(self, limit_s: float | None = None) -> Held:
-        """Check a stopped robot until it is held or time is up; `held` is the result from then on.
+        """Check a stopped robot until it is held or the time limit is reached; sets `held` to the result.
 
         Args:
-            limit_s: the longest look. By default 1 s, and as much longer as propellers that report nothing
-                need to let a robot slide (seconds). What is not known by then is NOT HELD.
+            limit_s: time limit. By default 1 s, plus the time (seconds) that propellers without reports need
+                to let a robot slide. An undecided check gives NOT HELD.
 
         Raises:
-            UsageError: a limit that is below 0 or no number.
+            UsageError: the limit is below 0 or not a number.
         """
         if limit_s is not None:
             check_number(limit_s, "limit_s", "s")
@@ -247,14 +247,14 @@ class HeldDevices:
             self.held = self._hold.unseen(why, wanted=False)
 
     def stop(self) -> None:
-        """Ask for wheels at rest, steering held, torque on; `look` says whether that has come true."""
+        """Command wheels at rest, steering held, torque on; `look` checks the result."""
         self.rig.actuators().stop()
 
     def release(self) -> None:
-        """Drop torque: on a wall the robot slides.
+        """Switch torque off: on a wall the robot slides.
 
         Raises:
-            UsageError: the robot hangs on a wall by its fan, and no tether is said to hold it; or the IMU
+            UsageError: the robot hangs on a wall by its fan, and `safety.tethered` is not set; or the IMU
                 shows a wall where the bench file has none.
         """
         if steeper := self._steeper():

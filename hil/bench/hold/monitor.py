@@ -1,8 +1,8 @@
-"""Decides after every stop whether the robot is HELD, by watching it until it is or time is up.
+"""Decides after every stop whether the robot is HELD, by checking it until it is or time is up.
 
-"Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
-that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the
-servos go on being looked after.
+"Held" is a measured state, not a sent command: all eight servos report torque and armed watchdogs, the wheels
+rest, and no sensor that can measure the robot's motion shows any. Until then the driver keeps the servos
+holding (`look_after`).
 """
 
 from __future__ import annotations
@@ -43,31 +43,31 @@ from hil.loop.device_set import DeviceSet
 from hil.robot.statics import GRAVITY_M_S2
 
 _LATE_LOOKS = 25
-"""So many looks, when time is up, a doubt may come and go."""
+"""After the time limit, a momentary doubt is tolerated for this number of samples."""
 _LOSSES = 3
-"""So often servos that fail during a look are waited for anew."""
+"""Number of times that the time limit is extended for servos that fail during the check."""
 LOG = logging.getLogger(__name__)
 _LOOK_NS = nanoseconds(0.02)
 _SELDOM_NS = nanoseconds(0.05)
-"""Where only time has to pass: a window still holds five sightings by the servos."""
+"""Sample period while only time has to pass: a window still holds five samples of the servos."""
 _CALM_M_S2 = 2.0
-"""By how much the median of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
+"""Largest difference of the median specific force from gravity; data sheets allow 0.8."""
 _SLOW_NS = nanoseconds(1.5)
-"""So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
+"""Time limit for an IMU that has begun to deliver: on a busy computer its samples come late."""
 _MOVED_M = 0.001
 _UNSEEN_M = 0.005
-"""What a robot that is held may move after its stop."""
+"""Largest undetected motion of a held robot after its stop."""
 _FELT = 10
-"""Samples of it that are looked at."""
+"""Number of specific-force samples in the median."""
 
 
 class LookTime:
-    """The time of one look.
+    """The time limit of one check.
 
     Args:
-        began_ns: when it began.
-        limit_s: so long, from there and from each failure of servos.
-        strict: no longer in any case.
+        began_ns: beginning of the check.
+        limit_s: time limit, counted from the beginning and from each failure of servos.
+        strict: whether the limit is never extended.
     """
 
     def __init__(self, began_ns: int, limit_s: float, *, strict: bool) -> None:
@@ -78,18 +78,18 @@ class LookTime:
         self._waits = self._momentary = False
 
     def heard(self, hold: ServoHold) -> None:
-        """Take what the servos say: those that fail now are given as long again to come back."""
+        """Process the servos' status; extend the limit for servos that fail now."""
         if hold.trouble and self._answered and self._losses < _LOSSES and not self._strict:
             self._end_ns, self._losses = max(self._end_ns, hold.t_ns + self._limit_ns), self._losses + 1
         self._answered = not hold.trouble
 
     def saw(self, t_ns: int, *, doubt: bool, waits: bool) -> None:
-        """Take what was seen of the robot.
+        """Process the result of one sample.
 
         Args:
-            t_ns: when.
-            doubt: whether servos or motion speak against HELD.
-            waits: whether propellers that are left alone are all that is still in doubt of the force.
+            t_ns: time of the sample.
+            doubt: whether servos or motion contradict HELD.
+            waits: whether only the check of propellers without commands is unfinished.
         """
         self._waits = waits
         if waits:
@@ -100,7 +100,7 @@ class LookTime:
         self._momentary = t_ns - since_ns < WINDOW_NS
 
     def is_up(self, now_ns: int) -> bool:
-        """Whether the look ends without the robot being held; asked once after each `saw`."""
+        """Whether the check ends without HELD; counts late samples, so call it once after each `saw`."""
         if now_ns < self._end_ns:
             return False
         self._late_looks += not self._waits
@@ -108,16 +108,17 @@ class LookTime:
 
 
 class HoldMonitor(Sink):
-    """Sees the robot's cycles go by, so that it knows where the robot stood when it was stopped.
+    """Sink that follows the robot's position, and checks the robot after a stop.
 
     Args:
-        model: of the bench. Devices in another world than the servos see another robot, and are not asked.
+        model: the bench model. Devices in another world than the servos measure another robot and are not
+            read.
         rig: devices of the bench.
         clock: the bench clock.
 
     Attributes:
-        tilt: how steep it stands: "on the floor" is believed only where that does not say otherwise.
-        last_state: as the latest cycle estimated it; None before.
+        tilt: measured tilt: "on the floor" is accepted only if it does not contradict.
+        last_state: estimate of the latest cycle; None before.
     """
 
     def __init__(self, model: BenchModel, rig: DeviceSet, clock: Clock) -> None:
@@ -142,7 +143,7 @@ class HoldMonitor(Sink):
         self.last_state: RobotState | None = None
 
     def write(self, record: CycleRecord) -> None:
-        """Remember where the robot was seen last."""
+        """Store the latest positions of the robot."""
         inputs = record.inputs
         pose = record.state.pose_body_in_wall
         heading_rad, estimated = pose.item(2), None
@@ -161,7 +162,7 @@ class HoldMonitor(Sink):
                 passed(name, t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
-        """Take samples from before a run, which no other part uses."""
+        """Process samples from before a run, which no other code uses."""
         self.tilt.saw(inputs.imu)
         for name, among, value_of, is_place in self._motion_sources:
             for sample in among(inputs) if is_place else ():
@@ -173,12 +174,12 @@ class HoldMonitor(Sink):
         """Do nothing: there is nothing to close."""
 
     def stopped(self, doubted: Mapping[str, bool] | None = None, agreed: Collection[str] = ()) -> None:
-        """The robot has been stopped: what it moves from here on counts.
+        """Begin to measure the displacement of a robot that was stopped.
 
         Args:
-            doubted: devices whose word on how it moved was in doubt, and whether others agreed against them;
-                that it rests is not believed of them.
-            agreed: those that agreed with another on the motion; they are believed again.
+            doubted: devices whose motion was in doubt, and whether others agreed against them; they are not
+                trusted to show rest.
+            agreed: devices that agreed with another on the motion; they are trusted again.
         """
         for name in agreed:
             self._doubted.pop(name, None)
@@ -188,26 +189,26 @@ class HoldMonitor(Sink):
         self._jumps.run_ended()
 
     def at_rest(self, left: RobotState) -> RobotState:
-        """A robot that a run left there, unsure by what it moved since, or may have without being seen."""
+        """State at rest after a run; the covariance includes measured and possible unseen motion since."""
         moved_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
         covariance = left.covariance.copy()
         covariance[:2, :2] += max(moved_m or 0.0, _UNSEEN_M) ** 2 * np.eye(2)
         return replace(left, twist_body=np.zeros(3), covariance=covariance, diagnostics={})
 
     def frame_moved_m(self, name: str) -> float:
-        """How far the frame has moved in which a kind of device measures places, as far as that was seen."""
+        """Detected displacement of the reference frame of a position sensor, m."""
         return self._jumps.size_m(name)
 
     def look(self, limit_s: float, *, strict: bool = False, for_good: bool = False) -> Held:
-        """Look after the robot until it is held, for `limit_s` at the most.
+        """Keep the servos holding and check the robot until it is held, for `limit_s` at the most.
 
-        Beside propellers that report nothing it takes as much longer as they need to be known to go on,
-        unless it is `strict`. Never raises for what a device does: a sensor that fails is left out.
+        With propellers that report nothing the limit is extended until it is known that they keep running,
+        unless `strict`. Never raises for a device error: a sensor that fails is left out.
 
         Args:
-            limit_s: so long.
-            strict: no longer in any case; what is not known by then makes the robot NOT HELD.
-            for_good: whether the bench ends now: what is held is sent nothing more.
+            limit_s: time limit.
+            strict: whether the limit is never extended; an undecided check gives NOT HELD.
+            for_good: whether the bench ends now: no more commands are sent to a held robot.
         """
         held = self._look(limit_s, strict, for_good)
         if not (for_good and held.state == "HELD"):
@@ -236,7 +237,7 @@ class HoldMonitor(Sink):
             )
             time.saw(hold.t_ns, doubt=bool(doubt), waits=self._press.waits)
             doubt = doubt or unpressed or self._doubt_of_floor()
-            # so long at the most it is waited for all that have begun to see the robot
+            # wait no longer than this for sensors that have begun to deliver
             early = hold.t_ns - began_ns < 2 * max(trail.window_ns for trail in trails.values())
             slow = self.tilt.begun and hold.t_ns - began_ns < _SLOW_NS
             unsure = (early or slow) and not self._on_wall and not self.tilt.known
@@ -254,7 +255,7 @@ class HoldMonitor(Sink):
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 
     def _grounds(self, t_ns: int, seen: Collection[str], places: Collection[str]) -> str:
-        """What confirms that the robot is held, in words."""
+        """Text with the evidence that the robot is held."""
         by = {*self._believed(seen), *places}
         rests = ", ".join(kinds()[name].noun for name in seen if name in by)
         tether = self._on_wall and not (self._can_fall or places or self._press.feels(t_ns))
@@ -262,13 +263,13 @@ class HoldMonitor(Sink):
         return f"torque on, at rest by {rests}{self._press.in_words(t_ns)}{by_tether}"
 
     def _believed(self, seen: Collection[str]) -> list[str]:
-        """Sensors that have seen the robot and were not in doubt."""
+        """Sensors that have measured the robot and were not in doubt."""
         return [name for name in seen if name == JOINTS or name not in self._doubted]
 
     def _places(self, seen: Collection[str]) -> list[str]:
-        """Trusted sensors that would see a slide.
+        """Trusted sensors that would detect a slide.
 
-        Of two that contradicted each other one is right: when both see it rest, it rests.
+        Of two that contradicted each other one is right: when both show rest, the robot rests.
         """
         places = [name for name in seen if self._seeing[name].measures_position]
         undecided = [name for name in places if not self._doubted.get(name)]
@@ -276,7 +277,7 @@ class HoldMonitor(Sink):
 
     def _verdict(self, state: State, why: str, seen: Collection[str] = (), *, wanted: bool = True) -> Held:
         moved_m = self._travel.moved_m(self._believed(seen), slides=self._on_wall)
-        if moved_m is None and state == "NOT HELD":  # of one that is lost: how far it was seen to go
+        if moved_m is None and state == "NOT HELD":  # if it is lost: its last measured displacement
             last_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
             moved_m = last_m if last_m is not None and last_m > _MOVED_M else None
         if state == "HELD" and moved_m is None:
@@ -288,24 +289,24 @@ class HoldMonitor(Sink):
         return held if self._on_wall or no_floor else on_the_floor(held)
 
     def let_go(self) -> None:
-        """Torque is about to be released on purpose: that it is off from then on is no loss."""
+        """Note that torque is about to be released on purpose, so that torque off is not a loss."""
         self._let_go = True
 
     def released(self) -> Held:
-        """The robot has been let go of on purpose."""
+        """The result for a robot whose torque was released on purpose."""
         return self._verdict("NOT HELD", "torque was released, as exit.policy asks", wanted=False)
 
     def unseen(self, why: str, *, wanted: bool = True) -> Held:
-        """The robot could not be looked at, or not yet."""
+        """The result for a robot that could not be checked, or not yet."""
         return replace(self._verdict("NOT HELD", f"not checked: {why}", wanted=wanted), moved_m=None)
 
     def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
-        """Take what servos and sensors say now."""
+        """Add the new samples of servos and sensors to the trails."""
         now_ns = hold.t_ns
         seen = [(JOINTS, hold.position_rad)] if np.isfinite(hold.position_rad).all() else []
         for name in self._seeing:
             if name != JOINTS:
-                seen += [(name, value) for value in self._testified(name)]
+                seen += [(name, value) for value in self._motion_values(name)]
         for name, value in seen:
             trails[name].add(now_ns, value)
             if name in self._travel.names:
@@ -313,13 +314,13 @@ class HoldMonitor(Sink):
         for trail in trails.values():
             trail.forget(now_ns - trail.window_ns)
 
-    def _testified(self, name: str) -> list[Array]:
-        """Motion values of a sensor since the last read; none where it fails, whatever it raises."""
+    def _motion_values(self, name: str) -> list[Array]:
+        """Motion values of a sensor since the last read; none if its driver raises any exception."""
         try:
             samples = self._rig.get(name).read()
         except HilError:
             return []
-        except Exception:  # of a driver of another package: the others go on looking
+        except Exception:  # raised by a driver of another package: the check continues with the others
             LOG.warning("%s: its driver failed while the hold was checked", name, exc_info=True)
             return []
         for sample in samples:
@@ -336,20 +337,20 @@ class HoldMonitor(Sink):
         return [value for _, value in values if value is not None]
 
     def _follow(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
-        """Follow a position; a jump of its frame begins the displacement anew."""
+        """Process a position; a jump of the sensor's frame restarts its displacement."""
         for moved in self._jumps.follow(name, sample.stamp.t_ns, place, estimated):
             self._travel.begins_anew(moved)
 
     def _doubt(
         self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str], places: Collection[str]
     ) -> str:
-        """Why the robot is not called held; empty when nothing speaks against it.
+        """Why the robot is not held, by servos and motion; empty for no reason.
 
         Args:
-            hold: what the servos say.
-            trails: by sensor.
-            seen: sensors that have seen the robot for long enough.
-            places: those of them that would see a slide, and are believed.
+            hold: status of the servos.
+            trails: recent motion values, by sensor.
+            seen: sensors that have measured the robot for long enough.
+            places: those of them that would detect a slide, and are trusted.
         """
         felt = self._doubt_of_weight()
         if hold.trouble or felt:
@@ -367,7 +368,7 @@ class HoldMonitor(Sink):
         return self._slide_unseen(seen)
 
     def _doubt_of_weight(self) -> str:
-        """What the accelerometer says against a robot at rest."""
+        """Why the accelerometer contradicts a robot at rest; empty if it does not."""
         felt = self._felt_m_s2
         if felt and felt[-1] < self._lightest_m_s2:
             return "the accelerometer feels less than the weight: adhesion is lost"
@@ -377,12 +378,12 @@ class HoldMonitor(Sink):
         return ""
 
     def _doubt_of_floor(self) -> str:
-        """What the IMU says against the floor, or against a tilt for which what must hold it is reckoned."""
+        """Why the IMU contradicts the configured floor or tilt; empty if it does not."""
         steeper = self.tilt.steeper()
         return f"{steeper}: secure the robot, and correct environment.tilt_rad" if steeper else ""
 
     def _slide_unseen(self, seen: Collection[str]) -> str:
-        """Why no sensor would see a slide: wheels and IMU do not, one of position or force has to."""
+        """Message that no sensor would detect a slide: that takes a position or force sensor."""
         doubted = [kinds()[name].noun for name in seen if self._seeing[name].measures_position]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         if self._blind:
@@ -394,5 +395,5 @@ class HoldMonitor(Sink):
 
 
 def _felt_m_s2(sample: ImuSample) -> float:
-    """Size of the specific force."""
+    """Magnitude of the specific force, m/s^2."""
     return float(np.linalg.norm(sample.specific_force_m_s2))

@@ -13,33 +13,33 @@ from hil.core.device import DeviceKind
 from hil.core.geometry import Array
 
 WINDOW_NS = nanoseconds(0.2)
-"""For so long a robot has to rest; longer where a sensor's noise would pass for a motion."""
+"""Required time at rest; longer where a sensor's noise could pass for a motion."""
 _LONGEST_NS, _LONGER_NS = nanoseconds(1.0), nanoseconds(0.1)
 _NOISE_TIMES = 4.0
-"""A change that noise leads to has to be so much smaller than a motion."""
+"""Required ratio of the motion threshold to the noise of a change."""
 _FEWEST_FOR_NOISE = 12
 _SIGMA_OF_MEDIAN = 1.4826
-"""Standard deviation of normal noise by the median of its size."""
+"""Ratio of the standard deviation of Gaussian noise to the median of its magnitude."""
 JOINTS = "servos"
-"""The kind that measures angles of joints, and no position."""
+"""The kind that measures joint angles, not a position."""
 _LEAST = 4
 _FRESH_NS = nanoseconds(0.05)
 _FINE_M = 0.001
 """A sensor with less noise than this at rest counts any displacement; a coarser one only beyond its noise."""
 _MEAN_OF = 5
-"""Sightings that are averaged against a camera's noise: 25 ms of it."""
+"""Samples that are averaged against a camera's noise: 25 ms."""
 
 
 class Trail:
-    """Where one device has seen the robot within the latest window.
+    """Motion values of one device within the latest time window.
 
     Args:
-        threshold: by how much the place may seem to change within `WINDOW_NS` while the robot rests. A longer
-            window allows the same speed.
+        threshold: largest apparent change within `WINDOW_NS` while the robot rests. A longer window allows
+            the same speed.
 
     Attributes:
-        window_ns: how long the window is by now. It grows until the noise that the device has in it is small
-            beside a motion.
+        window_ns: present length of the window. It grows until the device's noise in it is small compared
+            with a motion.
     """
 
     def __init__(self, threshold: float) -> None:
@@ -48,16 +48,16 @@ class Trail:
         self._seen: deque[tuple[int, Array]] = deque()
 
     def add(self, t_ns: int, place: Array) -> None:
-        """Take a sighting: (k,), of a place in m or of angles in rad."""
+        """Add a sample (k,): a position in m or angles in rad."""
         self._seen.append((t_ns, place))
 
     def forget(self, before_ns: int) -> None:
-        """Drop what is older, but for the last of it: the window is to be full."""
+        """Drop older samples except the last one before `before_ns`, so that the window stays full."""
         while len(self._seen) > 1 and self._seen[1][0] <= before_ns:
             self._seen.popleft()
 
     def full(self, now_ns: int) -> bool:
-        """Whether it reaches back for a window, and is not out of date."""
+        """Whether the samples cover a whole window and are recent; lengthens the window of a noisy device."""
         if not self._reaches_back(now_ns):
             return False
         sigma = self._sigma()
@@ -66,14 +66,14 @@ class Trail:
         return self._reaches_back(now_ns)
 
     def fills(self, now_ns: int) -> bool:
-        """Whether it is on its way to be full."""
+        """Whether samples arrive, but do not cover the window yet."""
         return self._is_fresh(now_ns) and not self.full(now_ns)
 
     def moves(self) -> bool:
-        """Whether the place has changed by more than that of a robot at rest may.
+        """Whether the value has changed by more than that of a robot at rest may.
 
-        The means of the first and the last quarter are compared. Of three and more sightings in one the least
-        and the greatest do not count: they may have been garbled on the way.
+        The means of the first and the last quarter are compared. With three or more samples in a quarter the
+        smallest and the largest do not count: they may be corrupted.
         """
         places = np.array([place for _, place in self._seen])
         quarter = _quarter(len(places))
@@ -91,9 +91,9 @@ class Trail:
         return self._threshold * self.window_ns / WINDOW_NS
 
     def _sigma(self) -> float:
-        """Standard deviation of one sighting; 0 of too few.
+        """Standard deviation of one sample; 0 for too few samples.
 
-        Second differences show it, whether or not the robot moves.
+        It is computed from second differences, which a steady motion does not change.
         """
         if len(self._seen) < _FEWEST_FOR_NOISE:
             return 0.0
@@ -102,18 +102,18 @@ class Trail:
         return _SIGMA_OF_MEDIAN / math.sqrt(6.0) * rough
 
     def _noise(self, sigma: float) -> float:
-        """Standard deviation of the change that noise alone leads to in a full window."""
+        """Standard deviation of the change in a full window that is due to noise alone."""
         seen = self._seen
         expected = len(seen) * self.window_ns / max(seen[-1][0] - seen[0][0], 1)
         return sigma * math.sqrt(2.0 / max(1, _quarter(int(expected)) - 1))
 
 
 class MotionSinceStop:
-    """How far the robot is from where it was stopped, by each sensor of position, and by its wheels.
+    """Displacement of the robot since it was stopped, by each position sensor and by its wheels.
 
     Args:
-        kinds: those that notice a motion, by name.
-        radius_m: of the wheels, to turn their angles into a way.
+        kinds: kinds that detect motion, by name.
+        radius_m: wheel radius, to convert wheel angles to a distance.
     """
 
     def __init__(self, kinds: Mapping[str, DeviceKind], radius_m: float) -> None:
@@ -134,15 +134,15 @@ class MotionSinceStop:
 
     @property
     def names(self) -> Collection[str]:
-        """The sensors of a position or an angle."""
+        """Names of the kinds that measure a position or joint angles."""
         return self._latest.keys()
 
     def passed(self, name: str, t_ns: int, place: Array) -> None:
-        """The robot was seen there, (k,) in m, or its joints so, (8,) in rad, while it was driven."""
+        """Process a position (k,) in m, or joint angles (8,) in rad, of the robot while it was driven."""
         self._latest[name].append((t_ns, place))
 
     def stopped(self, now_ns: int) -> None:
-        """The robot has been stopped: its way counts from here on, by the sensor that has just seen it."""
+        """Begin to measure displacements after a stop, for the sensors with a recent sample."""
         fresh_ns = now_ns - _FRESH_NS
         latest = self._latest.items()
         self._from = {name: _mean(seen) for name, seen in latest if seen and seen[-1][0] >= fresh_ns}
@@ -152,16 +152,16 @@ class MotionSinceStop:
         self._was_stopped = True
 
     def begins_anew(self, name: str) -> None:
-        """The sensor's frame has changed: forget its positions."""
+        """Discard the positions of a sensor whose frame has changed."""
         self._latest[name].clear()
         self._from.pop(name, None)
         self._farthest_m.pop(name, None)
 
     def saw(self, name: str, t_ns: int, place: Array) -> None:
-        """The robot is seen there, (k,) in m or its joints (8,) in rad, after its stop.
+        """Process a position (k,) in m, or joint angles (8,) in rad, of the robot after its stop.
 
-        If nothing has stopped it, its way counts from there on.
-        Who did not see where it was stopped cannot say how far it has gone.
+        Without a stop, the displacement counts from the first sample on. A sensor without a sample at the
+        stop gives no displacement.
         """
         self._latest[name].append((t_ns, place))
         here = _mean(self._latest[name])
@@ -180,8 +180,8 @@ class MotionSinceStop:
         """Farthest displacement by any sensor, m; None where that is unknown, or within the noise.
 
         Args:
-            believed: whose word counts.
-            slides: whether it may move without its wheels, so that they alone do not count.
+            believed: names of the trusted sensors.
+            slides: whether the robot may slide, so that the wheels alone do not count.
         """
         reported = {
             name: moved_m
@@ -198,7 +198,7 @@ def _quarter(among: int) -> int:
 
 
 def _trimmed_mean(places: Array) -> Array:
-    """Mean (k,) of places (n, k) without the least and the greatest of each column, of three or more."""
+    """Mean (k,) of samples (n, k); from three samples on without the smallest and largest of each column."""
     kept = np.sort(places, axis=0)[1:-1] if len(places) > 2 else places
     mean: Array = kept.mean(axis=0)
     return mean

@@ -24,16 +24,16 @@ _PATIENCE_NS = nanoseconds(12.0)
 _STEADY_NS = nanoseconds(0.1)
 _TETHERED_SHARE = 0.9
 _PUSHES = 0.9
-"""Share of the wanted push with which propellers count as running."""
+"""Share of the set-point from which propellers count as running."""
 _NO_SAMPLE_NS = nanoseconds(1.0)
 
 
 class Preload:
-    """Fan and propellers of a bench on a wall.
+    """Presses the robot on its wall by fan and propellers.
 
     Args:
-        config: of the bench.
-        rig: its devices, open.
+        config: the bench configuration.
+        rig: devices of the bench, open.
         clock: the bench clock.
     """
 
@@ -46,16 +46,16 @@ class Preload:
         self._push_n = 0.0
 
     def hold(self) -> str:
-        """Ask for the working forces, and wait until the robot is pressed firmly enough.
+        """Set the working forces, and wait until the measured force is sufficient.
 
-        Does nothing where the bench has nothing that holds the robot, or the robot is on the floor.
+        Does nothing if the bench has no device that holds the robot, or the robot is on the floor.
 
         Returns:
-            What was measured, in words; empty where nothing was done.
+            The measured forces as a text; empty if nothing was done.
 
         Raises:
-            SafetyStop: `adhesion`: the force stays below the limit of this surface; `adhesion_disagree`:
-                its sensors contradict each other. Nothing has moved, and the fan goes on.
+            SafetyStop: `adhesion`: the force stays below the limit of this surface; `adhesion_disagree`: its
+                sensors contradict each other. Nothing has moved, and the fan keeps running.
             DeviceError: a device fails.
         """
         limits = self._limits
@@ -85,9 +85,9 @@ class Preload:
         return message
 
     def _raised_n(self, limits: AdhesionLimits) -> float:
-        """Force of a fan that runs at more than the bench wants (N), 0 for any other.
+        """Present force of a fan that runs above its set-point (N), else 0.
 
-        A stop has raised it where the robot stands, or an operator has; both take precedence.
+        A stop or an operator has raised it at the robot's present place; both take precedence.
         """
         fan, wanted_n = self._config.of(AdhesionConfig), force_wanted_n(self._config)
         if fan is None or not limits.has_fan:
@@ -100,7 +100,7 @@ class Preload:
         return runs_n if runs_n > wanted_n + LARGEST_STEP_DOWN_N else 0.0
 
     def _ask(self, name: str, force_n: float) -> None:
-        """Ask a device for a force; a daemon may have to hear its motor first."""
+        """Send a force set-point; retry while a daemon has no report of its motor yet."""
         device = self._rig.get(name)
         if device is None:
             return
@@ -116,7 +116,7 @@ class Preload:
             self._clock.sleep_until_ns(self._clock.now_ns() + _STEP_NS)
 
     def _compare(self) -> None:
-        """Cells and speed have to agree before anything hangs by them."""
+        """Raise `SafetyStop` if load cells and fan speed give different forces."""
         found = list(self._seen_n.values())
         if len(found) == 2 and apart(found[0], found[1]):
             raise SafetyStop(
@@ -129,7 +129,7 @@ class Preload:
         return ", ".join(f"{force:.1f} N by {name}" for name, force in self._seen_n.items())
 
     def _wait(self, limits: AdhesionLimits, thrust_n: float) -> float:
-        """Wait for the force; returns its limit."""
+        """Wait for a sufficient force; return its limit, N. Raises `SafetyStop` at the time-out."""
         limit_n = limits.limit_n(thrust_n, self._config.environment.start_pose[2])
         if self._config.safety.tethered:
             limit_n = min(limit_n, _TETHERED_SHARE * force_wanted_n(self._config))
@@ -157,11 +157,11 @@ class Preload:
         )
 
     def _enough(self, limit_n: float) -> float:
-        """A force near the one that was asked for needs no second look."""
+        """Force near the set-point, N; from there on one sample is enough."""
         return max(limit_n, 0.9 * force_wanted_n(self._config))
 
     def _look(self) -> float:
-        """Newest force, the smaller of what is measured; NaN before every sensor was heard."""
+        """Newest force, the smallest of all sensors, N; NaN before every sensor has reported."""
         limits = self._limits
         if limits is None:
             return math.nan
@@ -172,7 +172,7 @@ class Preload:
         return min(self._seen_n.values()) if len(self._seen_n) == wanted else math.nan
 
     def _pushes(self, limits: AdhesionLimits, thrust_n: float) -> bool:
-        """Whether propellers that report their speed push as they were asked to."""
+        """Whether the push of propellers that report their speed is near its set-point."""
         if self._propellers is None:
             return True
         for sample in self._samples("thrust"):

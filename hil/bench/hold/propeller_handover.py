@@ -1,9 +1,9 @@
-"""Checks that propellers without feedback obey their commands, and go on when the bench has ended.
+"""Checks that propellers without feedback obey their commands, and keep running when the bench has ended.
 
-Nothing confirms their commands. A controller that does not understand them takes its throttle down, and the
-robot slides seconds later: they count once it has been seen at rest for as long as that. A bench that closes
-sends them nothing meanwhile, so that what is seen is what they do alone; a bench that goes on sends
-their force again and again, because they may restart.
+They do not acknowledge commands. A controller that does not understand a command lowers its throttle, and the
+robot slides seconds later: so they count once the robot has been at rest for that long. A bench that closes
+sends them nothing meanwhile, to test them without commands; a bench that continues repeats their set-point,
+because they may restart.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from hil.loop.device_set import DeviceSet
 from hil.robot.statics import Statics
 
 _PAUSE_S = 0.6
-"""To look at propellers to which the bench sends nothing at all."""
+"""Observation time for propellers to which the bench sends nothing at all."""
 _BLIND_NS = nanoseconds(0.3)
-"""The robot may be unseen for so long: a slide that has begun is seen after that, too."""
+"""Largest gap in the observation: a slide that has begun is also detected afterwards."""
 _BETTER = 1.2
-"""So many times the friction that is believed a surface may have: on it a robot slides later."""
+"""Factor on the assumed friction; with more friction the robot slides later."""
 _HALVINGS = 8
 
 
 class LeftAlone:
-    """Of one bench.
+    """Observation time of propellers without feedback.
 
     Args:
-        rig: its devices.
-        propellers: that report nothing; None where there are none that the bench knows how to reckon with.
-        asked_n: what they are asked for.
+        rig: devices of the bench.
+        propellers: settings of propellers that report nothing; None if there are none, or they have no model.
+        asked_n: their force set-point, N.
     """
 
     def __init__(self, rig: DeviceSet, propellers: ThrustConfig | None, asked_n: float) -> None:
@@ -42,30 +42,31 @@ class LeftAlone:
 
     @property
     def begun(self) -> bool:
-        """Whether the robot is seen at rest now, and they do not count yet, or do."""
+        """Whether the observation of the resting robot has begun."""
         return self._since_ns is not None
 
     def begin(self, *, for_good: bool) -> None:
-        """A look begins; `for_good`: the bench closes, and leaves them alone."""
+        """Begin a check; `for_good`: the bench closes and sends no commands meanwhile."""
         self.end()
         self._for_good = for_good
 
     def end(self) -> None:
-        """Let the bench go on telling them."""
+        """End the observation and resume sending commands."""
         if self._since_ns is not None:
             self._since_ns = None
             self._leave(alone=False)
 
     def left_s(self, now_ns: int, *, rests: bool, moves: bool, least_n: float) -> float:
-        """How much longer the robot is to rest until they count; 0 once they do.
+        """Remaining time at rest before the propellers count, s; 0 once they do.
 
-        `inf` while no sensor sees it rest, and where it is not known how long they need to let it slide.
+        `inf` while no sensor shows the robot at rest, or if the time that they need to let it slide is
+        unknown.
 
         Args:
-            now_ns: time.
-            rests: whether a sensor sees the robot at rest; where not for a while, it begins anew.
-            moves: whether it is seen not to rest: then they are sent their force again at once.
-            least_n: push below which the robot would slide; 0 where that is not known.
+            now_ns: present time.
+            rests: whether a sensor shows the robot at rest; after a longer gap the observation restarts.
+            moves: whether a sensor shows motion: then the commands resume at once.
+            least_n: push below which the robot would slide, N; 0 if unknown.
         """
         if not rests:
             if moves or now_ns - self._seen_ns > _BLIND_NS:
@@ -93,13 +94,13 @@ class LeftAlone:
 
 
 def least_push_n(statics: Statics, force_n: float, most_n: float, heading_rad: float) -> float:
-    """Push along the body below which a robot surely slides, on a surface that may be better than believed.
+    """Push along the body (N) below which the robot slides even with more friction than assumed.
 
     Args:
-        statics: of robot and surface.
-        force_n: that presses it.
-        most_n: push with which it holds.
-        heading_rad: of the body on the surface.
+        statics: statics of robot and surface.
+        force_n: adhesion force, N.
+        most_n: push with which the robot holds, N.
+        heading_rad: heading of the body on the surface.
     """
     better = replace(statics, friction=_BETTER * statics.friction)
     low_n, high_n = 0.0, most_n

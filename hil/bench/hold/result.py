@@ -17,12 +17,12 @@ class Held:
 
     Attributes:
         state: `not needed` where gravity does not pull along the surface.
-        moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped; None
-            where it was not measured: on a wall wheels do not see a slide.
-        why: what confirms it; or what is missing, and what is left to do.
-        opened: whether servos were opened: without, nothing was done after which the robot must be held.
-        wanted: whether the servos were asked to hold it, and the bench was not asked to let go (`release`,
-            `exit.policy`); torque that another program switched off does not make it unwanted.
+        moved_m: largest displacement since the stop by camera, motion capture or wheels; None if not
+            measured: on a wall wheels do not detect a slide.
+        why: the evidence; or what is missing, and what to do.
+        opened: whether servos were opened; if not, nothing was done after which the robot must be held.
+        wanted: whether the servos were commanded to hold, and the bench was not asked to release (`release`,
+            `exit.policy`); still True if another program switched torque off.
     """
 
     state: State
@@ -33,11 +33,11 @@ class Held:
 
     @property
     def lost(self) -> bool:
-        """Whether it should be held and is not."""
+        """Whether the robot should be held and is not."""
         return self.state == "NOT HELD" and self.wanted
 
     def to_json(self) -> dict[str, object]:
-        """As in `result.json` and the summary of the live loop."""
+        """JSON values for `result.json` and the summary of the live loop."""
         return {"state": self.state, "moved_m": self.moved_m, "why": self.why}
 
     def __str__(self) -> str:
@@ -45,7 +45,7 @@ class Held:
 
 
 def held_in_words(held: Mapping[str, Any]) -> str:
-    """One line of what `Held.to_json` says."""
+    """One line of text from `Held.to_json`."""
     if held["moved_m"] is None:
         return f"{held['state']}: {held['why']}"
     least = "at least " if held["state"] == "NOT HELD" else ""
@@ -53,7 +53,7 @@ def held_in_words(held: Mapping[str, Any]) -> str:
 
 
 def seen_in_words(held: Held) -> str:
-    """One line of a look at a robot that has not been set in motion yet."""
+    """One line of text on a robot that has not been set in motion yet."""
     return f"{held.state}: {held.why}"
 
 
@@ -64,7 +64,7 @@ def abandoned(why: str, *, on_wall: bool) -> Held:
 
 
 def on_the_floor(held: Held) -> Held:
-    """The result for a robot that need not be held, because gravity does not pull along the surface."""
+    """The result for a robot that need not be held, because gravity does not act along the surface."""
     return replace(held, state="not needed", why=f"on the floor; {held.why}")
 
 
@@ -74,7 +74,7 @@ def untouched(why: str) -> Held:
 
 
 def lacking_in_words(hold: ServoHold) -> str:
-    """What the servos lack, and what is left to do about it."""
+    """Text with what the servos lack, and what to do about it."""
     silent = [text for text in hold.trouble.values() if Status.TIMEOUT.value in text]
     if len(silent) == len(SERVOS):
         found = "no servo answers: check the servos' supply, the bus and its adapter"

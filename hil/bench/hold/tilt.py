@@ -1,8 +1,7 @@
 """Compares the tilt by the IMU with `environment.tilt_rad`.
 
-The bench file alone would let a robot on a wall count as one that nothing can make fall. Offsets of a chip
-and mounts that are slightly off do not count: only a difference at which wheels no longer hold a robot by
-themselves does.
+With a wrong bench file a robot on a wall would count as one that cannot fall. Sensor offsets and small
+mounting errors are tolerated: only a difference at which wheels alone no longer hold a robot counts.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _OK = Status.OK
 APART_RAD = math.atan(LEAST_FRICTION)
 """24 deg: on a slope of that size tyres on the worst known surface begin to slide."""
 _CALM_M_S2 = 2.0
-"""By how much the mean of gravity may differ from 9.81 m/s^2; that of nonsense differs by more."""
+"""Largest plausible difference of the mean gravity from 9.81 m/s^2."""
 _SAMPLES, _FRESH_NS = 10, nanoseconds(1.0)
 _REMEDY = (
     "set environment.tilt_rad and surface to what the robot stands on; if they are right, the IMU is mounted "
@@ -42,30 +41,30 @@ def tilt_rad(config: BenchConfig, samples: Sequence[ImuSample]) -> float:
     """Angle between the body's up axis and gravity's, by the IMU: 0 on a floor, pi/2 on a wall.
 
     Args:
-        config: of the bench; its mount of the IMU counts.
-        samples: good ones.
+        config: the bench configuration, with the mount of the IMU.
+        samples: good samples.
 
     Returns:
-        rad; NaN where there is no sample, or where their mean is no gravity.
+        Tilt, rad; NaN without samples, or if the magnitude of their mean is not that of gravity.
     """
     if not samples:
         return math.nan
     mount = config.of(ImuConfig) or ImuConfig()
     up = rotated(mount.mount_rotation_wxyz, np.mean([s.gravity_m_s2 for s in samples], axis=0).tolist())
     size_m_s2 = math.hypot(*up)
-    if not abs(size_m_s2 - GRAVITY_M_S2) <= _CALM_M_S2:  # NaN is none either
+    if not abs(size_m_s2 - GRAVITY_M_S2) <= _CALM_M_S2:  # also true for NaN
         return math.nan
     return math.acos(max(-1.0, min(1.0, up[2] / size_m_s2)))
 
 
 def sees_the_tilt(config: BenchConfig) -> bool:
-    """Whether the bench has an IMU on the robot of its servos."""
+    """Whether the bench has servos, and an IMU in the same world."""
     devices = config.devices()
     return IMU in devices and config.of(ServosConfig) is not None and IMU not in config.elsewhere()
 
 
 class TiltWatch:
-    """What the IMU of the servos' robot has said of gravity lately.
+    """Recent gravity measurements of the IMU on the servos' robot.
 
     Args:
         config: of the bench.
@@ -76,24 +75,24 @@ class TiltWatch:
         self._newest: deque[ImuSample] = deque(maxlen=_SAMPLES)
 
     def saw(self, samples: Iterable[ImuSample]) -> None:
-        """Take samples, oldest first; good ones count, those of the last second."""
+        """Add samples, oldest first; only good ones of the last second count."""
         if self._there:
             for sample in samples:
                 if sample.status is _OK:
                     self._newest.append(sample)
 
     def forget(self) -> None:
-        """Forget where the robot was: it may have been moved since."""
+        """Discard all samples: the robot may have been moved."""
         self._newest.clear()
 
     @property
     def known(self) -> bool:
-        """Whether enough has been seen to judge, or there is nothing to wait for."""
+        """Whether there are enough samples to decide, or no IMU to wait for."""
         return not self._there or len(self._fresh()) == _SAMPLES
 
     @property
     def begun(self) -> bool:
-        """Whether some has been seen, and too little yet to judge: on a busy computer samples come late."""
+        """Whether there are samples, but too few to decide: on a busy computer they come late."""
         return 0 < len(self._fresh()) < _SAMPLES
 
     def _fresh(self) -> list[ImuSample]:
@@ -101,17 +100,17 @@ class TiltWatch:
         return [s for s in newest if newest[-1].stamp.t_ns - s.stamp.t_ns <= _FRESH_NS]
 
     def apart_rad(self) -> float:
-        """By how much the robot is steeper than the bench file says; NaN where no sensor has measured it."""
+        """Measured minus configured tilt, rad; NaN if not measured."""
         if not self._there or not self.known:
             return math.nan
         return tilt_rad(self._config, self._fresh()) - self._config.environment.tilt_rad
 
     def steeper(self) -> str:
-        """What speaks against the bench file where the robot is steeper than it says; empty where nothing."""
+        """Message if the robot is steeper than the bench file says; else empty."""
         return self._in_words() if self.apart_rad() > APART_RAD else ""
 
     def must_agree(self) -> None:
-        """Refuse to set a robot in motion that stands otherwise than the bench file says.
+        """Refuse to move a robot whose tilt differs from the bench file.
 
         Raises:
             ConfigError: the IMU shows another tilt than `environment.tilt_rad`.
@@ -133,7 +132,7 @@ def _tilt_text(config: BenchConfig, seen_rad: float) -> str:
 
 
 def tilt_finding(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """Findings on gravity's direction; none without an IMU on the servos' robot that has measured it.
+    """Findings on the direction of gravity; none without measurements of an IMU on the servos' robot.
 
     Args:
         config: of the bench.

@@ -1,1 +1,1 @@
-"""The boundary to drivers and emulated devices of other packages: checked, and errors name the package."""
+"""The boundary to drivers and emulated devices of other packages: checks results, names them in errors."""

@@ -1,4 +1,4 @@
-"""Runs the checks that other packages add: tried before a run; errors in it name the package."""
+"""Runs the checks of other packages: they are tried before a run; their errors name the package."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _REASON = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class GuardedCheck(Check):
-    """A check of another package: what it raises names the package.
+    """Wraps a check of another package, so that its exceptions name the package.
 
     Args:
-        kind: of the device.
+        kind: the device's kind.
         package: name and version.
-        check: the package's.
+        check: the package's check.
     """
 
     def __init__(self, kind: str, package: str, check: Check) -> None:
@@ -34,13 +34,13 @@ class GuardedCheck(Check):
             self._check.reset()
 
     def on_samples(self, cycle: Cycle) -> None:
-        """As the check; raises `PackageError`."""
+        """Call the check. Raises `PackageError`."""
         with blamed(self._kind, self._package, "on_samples() of its check"):
             self._check.on_samples(cycle)
         self._reasons(cycle)
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """As the check; raises `PackageError`."""
+        """Call the check. Raises `PackageError`."""
         with blamed(self._kind, self._package, "on_estimate() of its check"):
             self._check.on_estimate(cycle)
         self._reasons(cycle)
@@ -57,13 +57,13 @@ class GuardedCheck(Check):
 
 
 class AloneCheck(Check):
-    """A check of a kind, for a further device of it: that one's samples are where it looks for its kind's.
+    """Wraps a kind's check for a further device: gives it inputs with the device's samples as the kind's.
 
-    A name for the check would not do: it asks a cycle for `inputs.of("rangefinder")` in code of its package.
+    Passing a name would not suffice: code of the package calls `inputs.of("rangefinder")`.
 
     Args:
         kind: the further device.
-        check: the kind's.
+        check: the kind's check.
     """
 
     def __init__(self, kind: FurtherKind, check: Check) -> None:
@@ -74,12 +74,12 @@ class AloneCheck(Check):
         self._check.reset()
 
     def on_samples(self, cycle: Cycle) -> None:
-        """As the check; its messages name the device."""
+        """Call the check; its messages name the device."""
         with self._alone(cycle):
             self._check.on_samples(cycle)
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """As the check; its messages name the device."""
+        """Call the check; its messages name the device."""
         with self._alone(cycle):
             self._check.on_estimate(cycle)
 
@@ -98,16 +98,16 @@ class AloneCheck(Check):
 
 
 def added_checks(config: BenchConfig) -> Mapping[str, Sequence[Check]]:
-    """Checks by kind, new ones.
+    """New checks by kind.
 
     Raises:
-        PackageError: what a package gives is no check, or can never stop anything.
+        PackageError: a package returns an object that is not a check, or a check that can never stop.
     """
     return {name: checks_of(config, name) for name in config.devices()}
 
 
 def checks_of(config: BenchConfig, name: str) -> Sequence[Check]:
-    """Checks of one kind, new ones; raises as `added_checks`."""
+    """New checks of one kind; raises as `added_checks`."""
     kind, table = kinds()[name], config.devices()[name]
 
     def own(check: Check) -> Check:

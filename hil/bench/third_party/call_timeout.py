@@ -1,12 +1,12 @@
-"""Names calls into another package that do not return, and ends them where that can be done.
+"""Time limits for calls into another package: reports calls that do not return, and ends them if possible.
 
-A driver that waits for ever would stop the loop silently. A thread watches the running call. It warns when
-that takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
-Foreign code that reacts to neither cannot be ended from here: that is reported, too. Servos hold a robot
-meanwhile: their driver keeps asking them when nothing else does.
+A driver that blocks for ever would stop the loop silently. A watchdog thread observes the running call. It
+logs a warning when the call takes too long, and then interrupts the main thread by a signal, which ends
+Python code and system calls. Foreign code that reacts to neither cannot be ended from here: that is reported,
+too. Servos hold a robot meanwhile: their driver keeps polling them when no other code does.
 
-Opening a device may take seconds, so it has limits of its own; and a user who has asked for the end of a
-run need not wait for all of them (`leave`).
+Opening a device may take seconds, so it has its own limits; a user who has requested the end of a run need
+not wait for all of them (`leave`).
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _SIGNAL = signal.SIGUSR2
 
 @dataclass(frozen=True)
 class TimeLimit:
-    """How long a call may take, in looks at it; while the process is stopped nothing looks.
+    """Time limit of a call, counted in polls of the watchdog thread; a stopped process does not count.
 
     Attributes:
-        reported: after which a warning is logged.
-        ended: after which it is ended.
-        expected: of a call that is not ended.
-        may_be_left: whether `leave` ends it once the warning is logged.
+        reported: polls after which a warning is logged.
+        ended: polls after which the call is ended.
+        expected: text on the expected behaviour of the call.
+        may_be_left: whether `leave` ends the call once the warning is logged.
     """
 
     reported: int
@@ -61,7 +61,7 @@ _BEYOND_TIMEOUTS_S = 5.0
 
 
 def opening(timeouts_s: float = 0.0) -> TimeLimit:
-    """For opening a device: 30 s, or 5 s more than the time-outs of its table in the bench file."""
+    """Limit for opening a device: 30 s, or 5 s more than the time-outs in its table if that is longer."""
     ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
     return TimeLimit(
         5 * _LOOKS_PER_S,
@@ -72,16 +72,16 @@ def opening(timeouts_s: float = 0.0) -> TimeLimit:
 
 
 class CallTimeoutError(PackageError):
-    """A call of a package's code did not come back, and was ended."""
+    """A call of a package's code did not return in time, and was ended."""
 
 
 class _Overdue(BaseException):
-    """Ends a call; no `except Exception` of a package keeps it."""
+    """Ends a call; `except Exception` in a package does not catch it."""
 
 
 @dataclass(eq=False)
 class _Call:
-    """The call that a thread is in."""
+    """A running call of a thread."""
 
     kind: str
     package: str
@@ -93,7 +93,7 @@ class _Call:
 
     @property
     def most(self) -> int:
-        """Looks after which it is ended."""
+        """Polls after which the call is ended."""
         return self.limit.ended if self.asked is None else self.limit.reported
 
     def __str__(self) -> str:
@@ -101,23 +101,23 @@ class _Call:
 
 
 _RUNNING: dict[int, _Call] = {}
-"""By thread: the innermost call that runs."""
+"""The innermost running call, by thread."""
 _WATCHMEN: list[threading.Thread] = []
 
 
 @contextmanager
 def with_time_limit(kind: str, package: str, what: str, limit: TimeLimit = IN_A_CYCLE) -> Iterator[None]:
-    """Run code of a package that is to come back soon.
+    """Run code of a package under a time limit.
 
     Args:
-        kind: of the device.
+        kind: the device's kind.
         package: name and version.
-        what: is run, for example `read()`.
-        limit: how long it may take.
+        what: the code that runs, for example `read()`.
+        limit: time limit of the call.
 
     Raises:
-        CallTimeoutError: it has been ended.
-        HilError: it has been left, with this (`leave`).
+        CallTimeoutError: the call was ended at the limit.
+        HilError: the call was ended by `leave`, which supplies the error.
     """
     _watch()
     ident = threading.get_ident()
@@ -144,12 +144,12 @@ def with_time_limit(kind: str, package: str, what: str, limit: TimeLimit = IN_A_
 
 
 def leave(error: Callable[[str], HilError]) -> None:
-    """From a signal handler: end the running call, if it may be left, as soon as its warning is logged.
+    """End the running call if `may_be_left`, once its warning is logged; for a signal handler.
 
-    Until then it may come back by itself, so that a healthy device is open before it is let go of.
+    Until then it may return by itself, so that a healthy device finishes opening before it is closed.
 
     Args:
-        error: makes what the call is left with; given the call in words.
+        error: makes the error that the call raises, from a description of the call.
     """
     call = _RUNNING.get(threading.get_ident())
     if call is not None and call.limit.may_be_left:
@@ -158,7 +158,7 @@ def leave(error: Callable[[str], HilError]) -> None:
 
 
 def _watch() -> None:
-    """Have a thread look, and the main thread listen to it."""
+    """Start the watchdog thread and, in the main thread, install the signal handler."""
     if not (_WATCHMEN and _WATCHMEN[0].is_alive()):
         _WATCHMEN[:] = [threading.Thread(target=_look, name="overdue", daemon=True)]
         _WATCHMEN[0].start()
@@ -167,7 +167,7 @@ def _watch() -> None:
 
 
 def _end(_number: int = _SIGNAL, _frame: FrameType | None = None) -> None:
-    """In the main thread: leave the call that takes too long, if it still runs."""
+    """Signal handler of the main thread: raise `_Overdue` if the running call has exceeded its limit."""
     call = _RUNNING.get(threading.get_ident())
     if call is not None and call.looks >= call.most:
         raise _Overdue
@@ -177,13 +177,13 @@ def _look() -> None:
     while True:
         time.sleep(_LOOK_S)
         for ident, call in list(_RUNNING.items()):
-            if not _compiles(sys._current_frames().get(ident)):  # one that is kept keeps what it holds
+            if not _compiles(sys._current_frames().get(ident)):  # a kept frame keeps its objects
                 call.looks += 1
                 _judge(ident, call)
 
 
 def _compiles(frame: FrameType | None) -> bool:
-    """Whether a thread waits for our own code to be compiled, which takes a while at the first start."""
+    """Whether a thread compiles code of this package, which takes a while at the first start."""
     while frame is not None:
         if str(frame.f_globals.get("__name__", "")).startswith(_COMPILER):
             return True

@@ -16,17 +16,17 @@ from hil.core.signals import Status, worst
 from hil.devices.doctor_watch import Watched
 
 OLDEST_NS, EARLY_NS = nanoseconds(0.3), nanoseconds(0.001)
-"""By how much a sample may have been measured before it arrived, and after."""
+"""Largest time by which a sample may be measured before its arrival, and after it."""
 _OLDER = 3.0
 _SHARE_OF_A_CYCLE = 0.5
 
 
 def find_contract_breaks(watched: Watched, waits_s: Sequence[float]) -> Iterator[Finding]:
-    """One finding for each promise that is broken; nothing of a device that keeps them.
+    """One finding for each broken promise of the contract; none for a correct device.
 
     Args:
-        watched: the device and what it delivered.
-        waits_s: how long each read took.
+        watched: the device and its samples.
+        waits_s: duration of each read, s.
     """
     name, samples = watched.kind.name, watched.samples
     holes = {
@@ -67,7 +67,7 @@ def find_contract_breaks(watched: Watched, waits_s: Sequence[float]) -> Iterator
 
 
 def changing(samples: Sequence[Any]) -> list[str]:
-    """Names of the fields of samples of one device whose arrays do not keep shape and type."""
+    """Names of sample fields of one device whose arrays change their shape or type."""
     forms: dict[str, set[tuple[Any, ...]]] = {}
     for sample in samples:
         for name, value in vars(sample).items():
@@ -77,7 +77,7 @@ def changing(samples: Sequence[Any]) -> list[str]:
 
 
 def _wrong_stamps(watched: Watched) -> Iterator[tuple[str, str]]:
-    """What is wrong with times and numbers of samples, and what is expected of them."""
+    """Errors in stamps and sequence numbers of samples: found, and expected."""
     stamps = [s.stamp for s in watched.samples]
     good = [s.stamp for s in watched.samples if worst(s) is Status.OK]
     ahead_ns = max((s.t_ns - s.host_ns for s in stamps), default=0)

@@ -1,8 +1,8 @@
-"""The boundary to the drivers of other packages: what they raise and return is checked and named here.
+"""The boundary to the drivers of other packages: checks results, and makes exceptions name the package.
 
-Drivers of this project are not wrapped. One of another package may raise anything and return anything;
-its kind says they are, so that the loop stops the robot and the recorder is not blamed. Values are checked by
-the type hints of their fields.
+Drivers of this project are not wrapped. A driver of another package may raise or return anything. Its errors
+are raised as `PackageError`, so that the loop stops the robot and the cause is not sought in the recorder.
+Values are checked against the type hints of the fields of the kind's sample.
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ _SHAPES: Mapping[str, Mapping[str, tuple[int, ...]]] = {
     "MocapSample": {"position_m": _VECTOR, "quaternion_wxyz": _QUATERNION},
     "LoadCellSample": {"force_n": (2,)},
 }
-"""Shapes of the arrays that `hil.core.signals` promises, by sample and field."""
+"""Array shapes defined in `hil.core.signals`, by sample and field."""
 
 Wrong = Callable[[Any], str]
 LOG = logging.getLogger(__name__)
 MOST_SAMPLES = 10_000
-"""That one read may give: a second of the fastest device, many times over."""
+"""Largest number of samples in one read: many times that of the fastest device in a second."""
 Failures = Mapping[str, HilError]
 
 
 def short(value: Any) -> str:
-    """A value as a message shows it: its first 60 characters."""
+    """A value for a message: the first 60 characters of its `repr`."""
     try:
         text = repr(value)
-    except Exception:  # of a class of the package, or of a number of thousands of digits
+    except Exception:  # `repr` of a package's class, or of a number with thousands of digits, may fail
         return f"a {type(value).__name__}"
     return text if len(text) <= 60 else f"{text[:60]}..."
 
@@ -94,12 +94,12 @@ def checks_of(kind: DeviceKind) -> list[tuple[str, str, Wrong]]:
 
 
 def _written(hint: Any) -> str:
-    """A type hint as its author wrote it."""
+    """A type hint as text, as written in the source."""
     return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint)
 
 
 def _of(hint: Any) -> Wrong:
-    """What is wrong with a value of this type hint, of those that can be recorded."""
+    """Make the check of a value against a type hint, for types that can be recorded."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if hint is Any:
         return lambda value: ""
@@ -178,22 +178,22 @@ def _of_class(kind: type[Any], inside: Mapping[str, Wrong], value: Any) -> str:
 def wrapped_driver(
     kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures, timeouts_s: float
 ) -> Device:
-    """The driver that `make` makes; wrapped in a `ThirdPartyDriver` where another package brings it."""
+    """Make a driver; wrap it in a `ThirdPartyDriver` if another package provides its model."""
     return make() if model.package == OURS else ThirdPartyDriver(kind, model, make, failures, timeouts_s)
 
 
 class ThirdPartyDriver:
-    """A driver of another package.
+    """Wraps a driver of another package.
 
     Args:
-        kind: of the device.
-        model: what brings the driver.
-        make: makes it; where that fails, `open` says so, and other devices can still be examined.
-        failures: by kind, what its emulated device has raised meanwhile (`hil.bench.third_party.emulated`).
-        timeouts_s: what the time-outs of its table in the bench file come to; opening it may take as long.
+        kind: the device's kind.
+        model: the device's model.
+        make: makes the driver; if it fails, `open` raises its error, and other devices can still be examined.
+        failures: errors of emulated devices so far, by kind (`hil.bench.third_party.emulated`).
+        timeouts_s: sum of the time-outs in its table of the bench file; opening may take as long.
 
     Attributes:
-        name: the driver's own, or the kind's where it has none.
+        name: the driver's own name, or the kind's if it has none.
     """
 
     def __init__(
@@ -223,7 +223,7 @@ class ThirdPartyDriver:
 
     @contextmanager
     def _watched(self, what: str, limit: TimeLimit) -> Iterator[None]:
-        """Run code of the package that is to come back, and whose exceptions are its own."""
+        """Run code of the package under a time limit; its exceptions become `PackageError`."""
         with self._blamed(what), with_time_limit(self._kind.name, self._package, what, limit):
             yield
 
@@ -231,7 +231,7 @@ class ThirdPartyDriver:
         raise PackageError(self._kind.name, self._package, message, expected=expected)
 
     def open(self) -> None:
-        """Open the driver; raises why there is none."""
+        """Open the driver. Raises the error of its constructor if it could not be made."""
         if self._failure is not None:
             raise self._failure
         self._check_emulated()
@@ -240,11 +240,11 @@ class ThirdPartyDriver:
             with self._watched("open()", self._opening):
                 self._driver.open()
         except HilError:
-            self._check_emulated()  # one that has failed is why the driver finds nothing
+            self._check_emulated()  # if the emulated device has failed, that is the cause
             raise
 
     def _check_emulated(self) -> None:
-        """Raise what the emulated device has raised: here the caller learns of it and can act."""
+        """Raise the stored error of the emulated device, so that the caller can react to it."""
         if self._kind.name in self._failures:
             raise self._failures[self._kind.name]
 
@@ -261,7 +261,7 @@ class ThirdPartyDriver:
             LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, error_text(error))
 
     def identity(self) -> Mapping[str, str]:
-        """What the driver says it found."""
+        """Identity that the driver reports, checked."""
         if self._driver is None:
             return {}
         with self._watched("identity()", AT_THE_END):
@@ -271,11 +271,10 @@ class ThirdPartyDriver:
         return {str(key): str(value) for key, value in found.items()}
 
     def read(self) -> tuple[Any, ...]:
-        """Samples of the driver, each of which is what the kind says.
+        """Samples of the driver, checked against the kind's sample type.
 
         Raises:
-            DeviceError: the driver's own, one that says what is wrong with its samples, or why there is no
-                emulated device any more.
+            DeviceError: raised by the driver, for wrong samples, or for a failed emulated device.
         """
         self._check_emulated()
         if self._ended is not None:
@@ -311,7 +310,7 @@ class ThirdPartyDriver:
         return samples
 
     def __getattr__(self, name: str) -> Any:
-        """Give all other attributes of the driver; errors of its functions name the package, too."""
+        """All other attributes of the driver; errors of its functions name the package, too."""
         if name.startswith("_") or self._driver is None:
             raise AttributeError(name)
         found = getattr(self._driver, name)

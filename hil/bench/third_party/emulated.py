@@ -1,8 +1,8 @@
-"""The boundary to the emulated devices of other packages: what their parts of the world raise is named here.
+"""The boundary to the emulated devices of other packages: keeps their exceptions, with the package's name.
 
-A part acts while the caller waits: for another device, or for a robot to come to rest. What it raises must
-not hit them. So a part that has failed is silent from then on, and why is left with the world: the driver of
-the device raises it when it is read, and a server of emulated devices ends by it.
+A part of the world runs while the caller waits for another device, or for the robot to come to rest. Its
+exception must not reach that caller. So a failed part is silent from then on, and its error is stored in the
+world: the driver of the device raises it at the next read, and a server of emulated devices ends with it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from hil.devices.emulated_device import Transport
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 _MOST_AT_ONCE = 10_000
-"""Actions at one instant; the fastest chip has some dozens."""
+"""Largest number of actions at one instant; the fastest chip has some dozens."""
 
 
 @contextmanager
 def parts_of(world: World, kind: str, model: DeviceModel) -> Iterator[None]:
-    """Guard the parts that are added to a world meanwhile, where another package brings them."""
+    """Wrap all parts that are added to a world in the block, if another package provides the model."""
     if model.package != OURS:
         world.enclose = lambda part: ThirdPartyPart(world, kind, model, part)
     try:
@@ -33,18 +33,18 @@ def parts_of(world: World, kind: str, model: DeviceModel) -> Iterator[None]:
 
 
 def wrapped_transport(world: World, kind: str, model: DeviceModel, transport: Transport) -> Transport:
-    """A transport; wrapped in a `ThirdPartyTransport` where another package brings its device."""
+    """Wrap a transport in a `ThirdPartyTransport` if another package provides its model."""
     return transport if model.package == OURS else ThirdPartyTransport(world, kind, model, transport)
 
 
 class ThirdPartyPart(Scheduled):
-    """A part of the world that another package brings, or that runs a chip of it.
+    """Wraps a part of the world that another package provides, or that runs a chip of that package.
 
     Args:
-        world: where its failure is left.
-        kind: of the device.
-        model: what brings it.
-        part: the package's.
+        world: stores its failure.
+        kind: the device's kind.
+        model: the device's model.
+        part: the package's part.
     """
 
     def __init__(self, world: World, kind: str, model: DeviceModel, part: Scheduled) -> None:
@@ -54,7 +54,7 @@ class ThirdPartyPart(Scheduled):
 
     @contextmanager
     def _contained(self, what: str) -> Iterator[None]:
-        """Run code of the package; its failure is kept."""
+        """Run code of the package; store its error in the world."""
         try:
             with blamed(self._kind, self._model.package, f"{what} of the emulated {self._model.name}"):
                 yield
@@ -67,17 +67,16 @@ class ThirdPartyPart(Scheduled):
         return self._kind in self._world.failures
 
     def next_due_ns(self) -> int:
-        """As the part says; never again once it has failed."""
+        """Next due time of the part; never if it has failed."""
         if not self._failed:
             with self._contained("next_due_ns()"):
                 return self._part.next_due_ns()
         return NEVER_NS
 
     def on_due(self, t_ns: int) -> None:
-        """Let the part act; one that always has something more to do at this instant would hold up time.
+        """Run the part. A part that is always due again at the same instant fails, as it would stop time.
 
-        Raises:
-            PackageError: it always had something more to do.
+        Errors are stored in the world, not raised.
         """
         self._acted = self._acted + 1 if t_ns == self._at_ns else 0
         self._at_ns = t_ns
@@ -101,23 +100,23 @@ class ThirdPartyTransport(ThirdPartyPart, Transport):
         self._transport = transport
 
     def filenos(self) -> list[int]:
-        """As of the transport; none once it has failed."""
+        """File descriptors of the transport; none if it has failed."""
         if not self._failed:
             with self._contained("filenos()"):
                 return self._transport.filenos()
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Let the transport take what has arrived."""
+        """Let the transport read the received data."""
         with self._contained("on_readable()"):
             self._transport.on_readable(fd, t_ns)
 
     def endpoint(self) -> Mapping[str, object]:
-        """As of the transport; raises its failure."""
+        """Endpoint of the transport; its exceptions are raised as `PackageError`."""
         with blamed(self._kind, self._model.package, "endpoint()"):
             return self._transport.endpoint()
 
     def close(self) -> None:
-        """Let go; what that raises is kept."""
+        """Close the transport; its error is stored in the world."""
         with self._contained("close()"):
             self._transport.close()

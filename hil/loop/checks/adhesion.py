@@ -1,9 +1,9 @@
 """Compares the measured fan force with the needed one, and its two measurements with each other.
 
-The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
-counts, and the two are held against each other and against what the battery gives. The robot stops while
-there is still a margin to stop with: at a limit above the need, and earlier where the force is falling.
-Propellers that turn faster than they are to push less than their speed says: that stops it, too.
+The force is measured by the load cells, minus their zeros, and by the fan's speed; the smaller one counts.
+The two are compared with each other and with the battery power. The robot stops while there is still a margin
+for stopping: at a limit above the needed force, and earlier if the force is falling. Propellers that turn
+faster than commanded push less than their speed suggests: that stops the robot, too.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from hil.robot.statics import Statics
 
 _FALLING_N_S = -3.0
 _AHEAD_S = 0.5
-"""A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
+"""A force that will be below its limit within this time (s) stops the robot: wheels take 0.15 s to stop."""
 _DISAGREE_NS, DISAGREE_N, DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
 _WEAK_PUSH = 0.85
-"""Share of the push that propellers are to give below which a stop speaks of them."""
+"""Share of the commanded push below which the message of a stop mentions the propellers."""
 _EXCESS_SHARE, _LEAST_EXCESS = 0.15, 0.02
-"""Push beyond what propellers are to give that is too much: as a share of that, at least of full push."""
+"""Tolerated excess of the propellers' push: as a share of the commanded push, at least of full push."""
 _OK = Status.OK
 LETTING_GO = ("adhesion", "utilisation", "thrust_disagree")
-"""Reasons to stop for which more force is what helps."""
+"""Reasons to stop for which a higher force helps."""
 
 
 @dataclass(frozen=True)
 class AdhesionLimits:
-    """What the watch of one bench knows.
+    """Limits of the adhesion check of one bench.
 
     Attributes:
-        statics: robot and surface, as on paper.
-        reserve: the measured force exceeds the need by this share, at least.
-        utilisation: no wheel uses more of its friction.
-        nominal_thrust_n, full_thrust_n: push of the propellers where no throttle is reported, and at full.
-        wanted_n: what the fan is asked for at rest: all of the margin is what that is above the need.
-        rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
-        low_input_v, hot_fet_c: of the fan's battery and controller.
-        zero_n: of the load cells, their sum; None without cells.
+        statics: nominal statics of robot and surface.
+        reserve: smallest share by which the measured force exceeds the needed one.
+        utilisation: largest share of its friction that a wheel may use.
+        nominal_thrust_n, full_thrust_n: push of the propellers where no throttle is reported, and full push.
+        wanted_n: set-point of the fan at rest; its excess over the needed force is the whole margin.
+        rated_n, rated_rpm, rated_w: rated force, speed and battery power of the fan; NaN without a fan.
+        low_input_v, hot_fet_c: limits of the fan's battery voltage and controller temperature.
+        zero_n: sum of the load cells' zeros; None without cells.
         reports_thrust: whether the propellers' controllers report their speed.
-        stale_s: silence after which fan, cells or such propellers are no longer trusted.
+        stale_s: silence after which fan, cells or reporting propellers are no longer trusted.
     """
 
     statics: Statics
@@ -71,50 +71,50 @@ class AdhesionLimits:
         return math.isfinite(self.rated_rpm)
 
     def limit_n(self, thrust_n: float, heading_rad: float) -> float:
-        """Force below which no wheel may move."""
+        """Force below which no wheel may move, N."""
         needed_n = (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
         return max(needed_n, self.statics.force_for_n(self.utilisation, thrust_n, heading_rad))
 
     def cells_n(self, sample: LoadCellSample) -> float:
-        """Force by the cells, without their zeros; NaN where one cannot be used."""
+        """Force by the load cells minus their zeros, N; NaN if a cell cannot be used."""
         first_n, second_n = sample.force_n.tolist()
         return float(first_n + second_n) - (self.zero_n or 0.0)
 
     def speed_n(self, sample: AdhesionSample) -> float:
-        """Force by the fan's speed."""
+        """Force by the fan's speed, N."""
         return self.rated_n * (sample.speed_rpm / self.rated_rpm) ** 2
 
     def push_n(self, sample: ThrustSample) -> float:
-        """Push by the propellers' speed; NaN where they do not tell it."""
+        """Push by the propellers' speed, N; NaN if they do not report it."""
         if sample.status is not _OK:
             return math.nan
         return self.full_thrust_n * sample.throttle**2
 
     def pushes_too_much(self, push_n: float) -> bool:
-        """Whether propellers report so much more push than they are to give that it cannot be the push.
+        """Whether the reported push exceeds the commanded one so far that it cannot be real.
 
-        A propeller turns faster than it is asked to when nothing brakes it, or when its speed is miscounted.
+        A propeller turns faster than commanded if it has no load, or its speed is miscounted.
         """
         wanted_n = self.nominal_thrust_n
         too_much_n = wanted_n + max(_EXCESS_SHARE * wanted_n, _LEAST_EXCESS * self.full_thrust_n)
         return self.reports_thrust and push_n > too_much_n
 
     def power_n(self, sample: AdhesionSample) -> float:
-        """Force by what the battery gives: power goes with the cube of the speed."""
+        """Force by the battery power, N: the power is proportional to the cube of the speed."""
         watts = sample.input_a * sample.input_v
         return self.rated_n * math.pow(max(watts / self.rated_w, 0.0), 2.0 / _POWER_OF_SPEED)
 
 
 class AdhesionWatch(Check):
-    """Follows fan, propellers and cells of one run.
+    """Checks fan, propellers and load cells during one run.
 
     Args:
-        limits: of the bench.
-        can_fall: whether it hangs on a wall without a tether; elsewhere nothing stops it.
+        limits: limits of the bench.
+        can_fall: whether the robot hangs on a wall without a tether; else this check never stops it.
 
     Attributes:
-        heading_rad: of the body, as estimated last.
-        figures: for the robot's state: force, need, margin and what each wheel uses of its friction.
+        heading_rad: last estimated heading of the body.
+        figures: for the robot's state: force, needed force, margin, and friction utilisation of each wheel.
     """
 
     def __init__(self, limits: AdhesionLimits, *, can_fall: bool) -> None:
@@ -124,7 +124,7 @@ class AdhesionWatch(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen before."""
+        """Clear the state of the run."""
         self.heading_rad = 0.0
         self.figures: dict[str, float] = {}
         self._thrust_n = self._reported_push_n = self.limits.nominal_thrust_n
@@ -143,15 +143,15 @@ class AdhesionWatch(Check):
         self._fan: AdhesionSample | None = None
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Fan, propellers and load cells; their figures go into the robot's state."""
+        """Check fan, propellers and load cells; adds their figures to the robot's state."""
         self.heading_rad = cycle.last.heading_rad
         self.judge(cycle.inputs, cycle.events, cycle.stop)
         cycle.diagnostics.update(self.figures)
 
     def judge(self, inputs: Inputs, events: list[Event], stop: ReportStop) -> None:
-        """Look at one cycle's samples; what is noticed is added to `events` or handed to `stop`.
+        """Check one cycle's samples; adds findings to `events`, or calls `stop`.
 
-        The force is judged with every report of the fan, 50 times a second.
+        The force is checked with every report of the fan, 50 times a second.
         """
         if self._began_ns is None:
             self._began_ns = inputs.t_ns
@@ -170,14 +170,14 @@ class AdhesionWatch(Check):
             self._judge_controller(self._fan, force_n, stop)
 
     def _smaller(self) -> float:
-        """The smaller of what is measured; NaN where nothing is."""
+        """The smallest measured force, N; NaN without a measurement."""
         cells_n, speed_n = self._cells_n, self._speed_n
         if not math.isfinite(cells_n):
             return speed_n if math.isfinite(speed_n) else math.nan
         return min(cells_n, speed_n) if math.isfinite(speed_n) else cells_n
 
     def _take(self, inputs: Inputs, events: list[Event]) -> None:
-        """Newest force by each measure."""
+        """Update the newest force by each sensor."""
         for sample in inputs.load_cells:
             if sample.status[0] is _OK and sample.status[1] is _OK:
                 self._cells_n, self._cells_ns = self.limits.cells_n(sample), sample.stamp.t_ns
@@ -197,7 +197,7 @@ class AdhesionWatch(Check):
                 self._take_push(push_n, push.stamp.t_ns)
 
     def _take_push(self, push_n: float, t_ns: int) -> None:
-        """What the propellers report; more than they are to give holds nothing."""
+        """Update the push of the propellers; for an implausibly high one the commanded push is used."""
         self._reported_push_n, self._thrust_ns = push_n, t_ns
         if not self.limits.pushes_too_much(push_n):
             self._thrust_n, self._excess_ns = push_n, None
@@ -207,7 +207,7 @@ class AdhesionWatch(Check):
             self._excess_ns = t_ns
 
     def _fresh(self, t_ns: int, stop: ReportStop) -> bool:
-        """Whether every sensor of the force has been heard lately."""
+        """Whether every force sensor has reported recently; calls `stop` if one is silent."""
         oldest_ns = t_ns - self._stale_ns
         if (self._began_ns or 0) >= oldest_ns:
             return True
@@ -231,7 +231,7 @@ class AdhesionWatch(Check):
         return False
 
     def _figure(self, force_n: float) -> None:
-        """Figures for the state; statics are worked out anew where force or heading have changed."""
+        """Update the figures; the statics are recomputed if force or heading have changed."""
         self._work_out(force_n)
         self.figures = {
             "adhesion_n": force_n,
@@ -245,7 +245,7 @@ class AdhesionWatch(Check):
             self.figures["adhesion_fan_n"] = self._speed_n
 
     def _work_out(self, force_n: float) -> None:
-        """What holds the robot, and what each wheel uses of its friction."""
+        """Compute needed force, margin, and friction utilisation of each wheel."""
         at_n, at_thrust_n, at_rad = self._worked_out_at
         if (
             abs(force_n - at_n) <= _SAME_SHARE * at_n
@@ -263,7 +263,7 @@ class AdhesionWatch(Check):
         self._most = max(self._used.values(), default=0.0)
 
     def _judge_force(self, force_n: float, stop: ReportStop) -> None:
-        """The force against its limit, now and soon, and the friction that the wheels use."""
+        """Check the present and predicted force, and the friction utilisation of the wheels."""
         limit_n = (1.0 + self.limits.reserve) * self._needed_n
         measure, rate_n_s = "", 0.0
         for name, trend in (("load cells", self._cells_trend), ("fan's speed", self._speed_trend)):
@@ -292,7 +292,7 @@ class AdhesionWatch(Check):
             )
 
     def _way_out(self) -> str:
-        """What follows a stop that raises the fan."""
+        """Text on what to do after a stop that raises the fan."""
         if not self.limits.has_fan:
             return ""
         return (
@@ -301,7 +301,7 @@ class AdhesionWatch(Check):
         )
 
     def _by_whom(self) -> str:
-        """The sensors in words, where another contradicts: that one may be wrong."""
+        """Text on the sensor of the smaller force, if the other contradicts it; else empty."""
         if not apart(self._cells_n, self._speed_n):
             return ""
         reported = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
@@ -309,7 +309,7 @@ class AdhesionWatch(Check):
         return f" by {low} ({other_n:.1f} N by {high}: one of them is wrong, or air leaks under the robot)"
 
     def _weak_push(self) -> str:
-        """What propellers that report their speed give too little of: less push needs more adhesion."""
+        """Text if the reported push is too small: less push needs more adhesion; else empty."""
         wanted_n = self.limits.nominal_thrust_n
         if not self.limits.reports_thrust or self._thrust_n >= _WEAK_PUSH * wanted_n:
             return ""
@@ -319,13 +319,13 @@ class AdhesionWatch(Check):
         )
 
     def _left(self, force_n: float) -> str:
-        """What is left of the margin that the wanted force has, in words."""
+        """Text on the remaining margin."""
         margin_n, whole_n = force_n - self._needed_n, self.limits.wanted_n - self._needed_n
         share = f" ({100.0 * max(margin_n, 0.0) / whole_n:.0f} %)" if whole_n > 0.0 else ""
         return f"{margin_n:.1f} N of margin left{share}"
 
     def _compare(self, t_ns: int, stop: ReportStop) -> None:
-        """Cells against the fan's speed; its power says which of the two is believed."""
+        """Compare the load cells with the fan's speed; its power shows which of them is wrong."""
         if not apart(self._cells_n, self._speed_n):
             self._apart_ns = None
             return
@@ -338,13 +338,13 @@ class AdhesionWatch(Check):
         if not math.isfinite(power_n):
             message += "; its current is not reported"
         elif abs(power_n - self._speed_n) < abs(power_n - self._cells_n):
-            message += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
+            message += f", its power {power_n:.1f} N: the cells are wrong, or air leaks under the robot"
         else:
             message += f", its power {power_n:.1f} N: the reported speed is wrong"
         stop("adhesion_disagree", f"{message}; `hil run adhesion_check` at rest")
 
     def _judge_push(self, stop: ReportStop) -> None:
-        """Propellers that have reported too much push for a while: what they give is not known."""
+        """Stop if propellers have reported too much push for a while: their real push is unknown."""
         if self._excess_ns is None or (self._thrust_ns or 0) - self._excess_ns < _DISAGREE_NS:
             return
         stop(
@@ -356,7 +356,7 @@ class AdhesionWatch(Check):
         )
 
     def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: ReportStop) -> None:
-        """Battery and heat of the fan."""
+        """Check battery voltage and controller temperature of the fan."""
         limits = self.limits
         if fan.input_v < limits.low_input_v:
             stop(

@@ -1,6 +1,7 @@
 """Dead reckoning by the wheels alone and by the gyro alone, with a history to compare with other sensors.
 
-Camera poses come tens of milliseconds late; to compare them, what the others say must be known for then.
+Camera poses arrive tens of milliseconds late; for a comparison, the other sensors' values at that time are
+needed.
 """
 
 from __future__ import annotations
@@ -19,14 +20,15 @@ _KEPT = 256
 _GYRO_GAP_NS = 100_000_000
 _WHEEL_NS = 28_000_000
 STEP_RAD, FASTEST_RAD_S = 0.2, 6.5
-"""A joint turns by no more than this and that rate in a step: beyond it an encoder has slipped. The rate is
-faster than an XH430 without load at 12 V; the angle is that of a stamp that is 30 ms off at that rate."""
+"""A joint turns in a step by no more than this angle plus this rate times the duration: else an encoder has
+slipped. The rate is above that of an XH430 without load at 12 V; the angle covers a stamp error of 30 ms.
+"""
 
 Kept = tuple[complex, ...]
 
 
 class Track:
-    """Values over time, the newest `_KEPT` of them.
+    """Time series of values; keeps the newest `_KEPT`.
 
     Attributes:
         newest_ns: time of the newest values; None without any.
@@ -36,11 +38,11 @@ class Track:
         self.clear()
 
     def reset(self) -> None:
-        """Forget all that was seen before."""
+        """Remove all values."""
         self.clear()
 
     def clear(self) -> None:
-        """Forget all that was seen before."""
+        """Remove all values."""
         self._kept: deque[tuple[int, Kept]] = deque(maxlen=_KEPT)
         self.newest_ns: int | None = None
 
@@ -50,11 +52,11 @@ class Track:
         self.newest_ns = t_ns
 
     def covers(self, t_ns: int) -> bool:
-        """Whether it is without a break since then."""
+        """Whether the series has no gap since a time."""
         return bool(self._kept) and self._kept[0][0] <= t_ns
 
     def at(self, t_ns: int) -> Kept | None:
-        """Values at a time, between two known ones; None outside them."""
+        """Values at a time, interpolated; None outside the series."""
         if self.newest_ns is None or t_ns > self.newest_ns:
             return None
         later_ns, later = self._kept[-1]
@@ -69,28 +71,28 @@ class Track:
 
 
 def moved(before: Kept, now: Kept) -> tuple[complex, float]:
-    """Way (m, complex) in the body's axes at its beginning, and turn (rad), from one place to another.
+    """Displacement (m, complex) in the body axes at the start, and turn (rad), between two instants.
 
     Args:
-        before: place (m, complex) and heading (rad) come first in it.
+        before: values that begin with position (m, complex) and heading (rad).
         now: as `before`.
     """
     return (now[0] - before[0]) * cmath.rect(1.0, -before[1].real), (now[1] - before[1]).real
 
 
 def rolled(before: Kept, now: Kept) -> tuple[float, float]:
-    """Rolled way and contradiction (m) between two values of a `WheelTrack`."""
+    """Rolled distance and contradiction (m) between two values of a `WheelTrack`."""
     return (now[2] - before[2]).real, (now[3] - before[3]).real
 
 
 class WheelTrack(Track):
-    """Keeps place (m, complex), heading (rad), rolled way (m) and contradiction (m): all sums.
+    """Integrates position (m, complex), heading (rad), rolled distance (m) and contradiction (m).
 
-    The contradiction is by how much the wheel that fits worst disagrees with the body's motion: by that much
-    the body may have moved otherwise.
+    The contradiction is the residual of the wheel that fits the body's motion worst: the possible error of
+    the motion.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel geometry.
     """
 
     def __init__(self, geometry: WheelGeometry) -> None:
@@ -111,15 +113,15 @@ class WheelTrack(Track):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the way and where the wheels were."""
+        """Reset the sums and the last wheel angles."""
         self.clear()
         self._last: tuple[int, list[float], list[float]] | None = None
         self._now: Kept = (0j, 0.0, 0.0, 0.0)
 
     def take(self, sample: WheelMeasurement) -> None:
-        """Go on by one sample of all four wheels; incomplete ones are bridged.
+        """Add a sample of all four wheels; incomplete samples are skipped.
 
-        After a step that no motor can have made in that time (a servo's encoder has slipped) it begins anew.
+        After a step that no motor can make in that time (a servo's encoder has slipped) the series restarts.
         """
         t_ns, last = sample.stamp.t_ns, self._last
         if last is not None and t_ns - last[0] < _WHEEL_NS:
@@ -140,7 +142,7 @@ class WheelTrack(Track):
     def _go(
         self, angles: list[float], steering: list[float], before: list[float], steered: list[float]
     ) -> None:
-        """One step from wheel and steering angles (4,) to others."""
+        """Add the step between two sets of wheel and steering angles (4,)."""
         place, heading, rolled, contradiction = self._now
         step, turn, way, u = 0j, 0.0, 0.0, []
         for i, (radius, zero, along, across, turn_along, turn_across, _) in enumerate(self._wheels):
@@ -161,19 +163,19 @@ class WheelTrack(Track):
 
 
 class GyroTrack(Track):
-    """Keeps the angle about the surface normal, rad; a gap ends it."""
+    """Integrates the angle about the surface normal, rad; a gap restarts the series."""
 
     def __init__(self) -> None:
         super().__init__()
         self._last: tuple[int, float, float] | None = None
 
     def reset(self) -> None:
-        """Forget the past and the newest rate."""
+        """Remove all values and the newest rate."""
         self.clear()
         self._last = None
 
     def take(self, sample: GyroMeasurement) -> None:
-        """Go on by one sample."""
+        """Add a sample."""
         t_ns, rate, last = sample.stamp.t_ns, sample.yaw_rate_rad_s, self._last
         if not math.isfinite(rate) or (last is not None and t_ns <= last[0]):
             return

@@ -1,6 +1,6 @@
 """Sums the difference of two devices beyond their tolerances, and describes the disagreement.
 
-Deterministic: depends on the steps that were added since `reset` and on nothing else.
+Deterministic: depends only on the steps that were added since `reset`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import NamedTuple
 from hil.core.clock import NS_PER_S
 
 STEP_NS = 58_000_000
-"""What two devices say is compared no more often."""
+"""Shortest interval between two comparisons."""
 _LITTLE = 0.3
 _JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000
 
 
 class MotionSource(NamedTuple):
-    """A device that measures motion: the name of its kind, and what messages call it."""
+    """A device that measures motion: the name of its kind, and its name in messages."""
 
     name: str
     called: str
@@ -29,17 +29,17 @@ CAMERA, WHEELS = MotionSource("tracker", "the camera"), MotionSource("servos", "
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Two devices disagree.
+    """A disagreement of two devices about motion.
 
     Attributes:
-        source: the device that is alone with what it says, or the first of two.
-        message: what each says.
-        grave: whether the robot must not go on by them.
-        confirmed: whether two others agree against the source.
-        off: by how much the two differ since they began to, m or rad.
-        turns: whether that is a turn.
-        against: the device that says otherwise.
-        unseen: whether the wheels may have slipped while the camera did not look yet.
+        source: the device that the others contradict, or the first of two.
+        message: text with both measurements.
+        grave: whether the robot must stop.
+        confirmed: whether two other devices agree against the source.
+        off: difference of the two since it began, m or rad.
+        turns: whether the difference is a turn.
+        against: the device that contradicts the source.
+        unseen: whether the wheels may have slipped before the camera delivered poses.
     """
 
     source: str
@@ -53,12 +53,12 @@ class Disagreement:
 
     @property
     def inflation(self) -> tuple[float, float]:
-        """By how much the estimate may be off (m, rad): the difference of the two."""
+        """Largest error of the estimate (m, rad): the difference of the two devices."""
         return (0.0, self.off) if self.turns else (self.off, 0.0)
 
     @property
     def may_slide(self) -> bool:
-        """Whether it may be the wheels that say nothing of a motion, because the robot slides."""
+        """Whether the wheels may miss a motion because the robot slides."""
         return self.source == WHEELS.name or (self.against == WHEELS.name and not self.confirmed)
 
 
@@ -68,12 +68,12 @@ class Sum:
     Args:
         first, second: the devices.
         warn, stop: sums at which a warning is given, and the robot stopped.
-        turns: whether it is of turns.
+        turns: whether the sum is one of turns.
 
     Attributes:
-        names: of the devices.
-        size: by how much more than honest ones they differ.
-        since_ns: when they began to.
+        names: names of the devices.
+        size: accumulated difference beyond the tolerance.
+        since_ns: time when the difference began.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Sum:
         self.reset()
 
     def reset(self) -> None:
-        """Begin the sum again at zero."""
+        """Reset the sum to zero."""
         self.size = 0.0
         self._sum = self._first = self._second = 0j
         self.since_ns = 0
@@ -100,16 +100,16 @@ class Sum:
         backwards: float = 0.0,
         way: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Take a step of both from `t_ns` on, less what they may differ by in it.
+        """Add the difference of one step, minus the tolerance.
 
         Args:
-            t_ns: its beginning.
-            first: what one device says.
-            second: what the other says.
-            allowed: what honest ones may differ by.
-            turned: unit number that takes axes at its beginning to those at its end.
-            backwards: by how much more the first may have gone less far along the first axis.
-            way: by which share of the second's step they may differ beside that, along it and across.
+            t_ns: beginning of the step.
+            first: step by the first device.
+            second: step by the second device.
+            allowed: tolerance of good sensors.
+            turned: unit complex number that rotates the axes at the beginning to those at the end.
+            backwards: additional tolerance for a shorter step of the first device along the first axis.
+            way: additional tolerance as shares of the second device's step, along it and across.
         """
         if self.size == 0.0:
             self.reset()
@@ -124,19 +124,19 @@ class Sum:
         self._sum = total * turned * (self.size / size) if size else 0j
 
     def news(self) -> bool:
-        """Whether something is to be said now: once when it becomes known, and always when it is grave."""
+        """Whether to report now: once above the warning limit, and always above the stop limit."""
         return self.size > self._warn_at and (not self._warned or self.size > self._stop_at)
 
     @property
     def suspicious(self) -> bool:
-        """Whether they differ by more than half of the limit for a warning."""
+        """Whether the devices differ by more than half of the warning limit."""
         return 2.0 * self.size > self._warn_at
 
     def doubt(self, t_ns: int, pairs: Sequence[Sum]) -> Disagreement:
         """The disagreement to report; grave only after a first report.
 
         Args:
-            t_ns: now.
+            t_ns: present time.
             pairs: all sums of the same kind.
         """
         grave, self._warned = self._warned, True
@@ -161,14 +161,14 @@ class Sum:
         if self.names != (CAMERA.name, WHEELS.name):
             return "one of them is wrong" + (", or the wheels slip" if "servos" in self.names else "")
         if abs(self._second) < _LITTLE * abs(self._first):
-            return "the robot slides, or the camera invents motion"
+            return "the robot slides, or the camera reports false motion"
         if abs(self._first) < abs(self._second):
             return "the camera is frozen or sees another scale, or the wheels slip"
         return "the camera sees another scale, or the robot slides"
 
 
 def _shrunk(total: complex, step: complex, way: tuple[float, float]) -> complex:
-    """A sum less the shares (along, across) of a step, never beyond zero."""
+    """Reduce a sum by the shares (along, across) of a step, but not beyond zero."""
     length = abs(step)
     if not length or way == (0.0, 0.0):
         return total
@@ -182,17 +182,17 @@ def _shrunk(total: complex, step: complex, way: tuple[float, float]) -> complex:
 
 
 class Relocalisation:
-    """Tells the leap of a pose that was put right from motion."""
+    """Distinguishes a jump of a corrected pose (relocalisation) from motion."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last leap."""
+        """Clear the last jump."""
         self._calm_ns = 0
 
     def jumped(self, t_ns: int, way_m: float, turn_rad: float) -> bool:
-        """Whether a step is a relocalisation; one that follows another too soon is motion and counts."""
+        """Whether a step is a relocalisation; a second one within a short time counts as motion."""
         if way_m < _JUMP_M and turn_rad < _JUMP_RAD:
             return False
         calm, self._calm_ns = t_ns >= self._calm_ns, t_ns + _CALM_NS
@@ -200,10 +200,10 @@ class Relocalisation:
 
 
 def alone(pair: Sum, pairs: Sequence[Sum]) -> str:
-    """The device of a pair that others contradict more; the first when it is not known.
+    """The device of a pair that others contradict more; the first if undecided.
 
     Args:
-        pair: of two devices.
+        pair: sum of two devices.
         pairs: sums of the same kind, of these two and others.
     """
     others = [other for other in pairs if other is not pair]
@@ -211,7 +211,7 @@ def alone(pair: Sum, pairs: Sequence[Sum]) -> str:
 
 
 def confirmed(pair: Sum, pairs: Sequence[Sum], source: str) -> bool:
-    """Whether a third device contradicts the source of a pair, too, and agrees with the other one."""
+    """Whether a third device also contradicts the source of a pair, and agrees with the other device."""
     (other,) = (name for name in pair.names if name != source)
     by_names = {frozenset(p.names): p for p in pairs}
     thirds = {name for p in pairs for name in p.names} - set(pair.names)

@@ -16,18 +16,18 @@ from hil.loop.safety import Checks
 
 
 class AgreementCheck(Check):
-    """Camera, wheels, gyro and motion capture against each other: which to believe, and whether to stop.
+    """Compares camera, wheels, gyro and motion capture; decides which to trust, and whether to stop.
 
     Args:
-        motion: what compares them.
-        checks: of the bench.
-        servos: knows a wheel that does not turn.
-        excluded: takes devices that are not believed any more.
-        holders: what keeps the robot on its surface: by kind, as sentences call it.
+        motion: check that compares them.
+        checks: checks of the bench.
+        servos: check that detects a wheel that does not turn.
+        excluded: receives devices that are excluded.
+        holders: devices that keep the robot on its surface: noun by kind.
 
     Attributes:
-        doubted: devices whose word on how the robot moves was in doubt since `reset`, and whether others
-            agreed against them.
+        doubted: devices whose motion data were in doubt since `reset`, and whether others agreed against
+            them.
     """
 
     def __init__(
@@ -43,12 +43,12 @@ class AgreementCheck(Check):
         self.doubted: dict[str, bool] = {}
 
     def reset(self) -> None:
-        """Forget all that was seen in the run."""
+        """Clear the state of the run."""
         self._motion.reset()
         self.doubted.clear()
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Stops with `sensors_disagree`, and `blocked` beside it."""
+        """Check the motion of a cycle; stops with `sensors_disagree`, also with `blocked`."""
         checks = self._checks
         for doubt in self._motion.update(cycle.measurements):
             self._note(doubt)
@@ -69,7 +69,7 @@ class AgreementCheck(Check):
                 cycle.stop("sensors_disagree", event.message, event.suspects)
 
     def _event(self, doubt: Disagreement, t_ns: int) -> Event:
-        """Event of one device, or of both where either may be wrong, and of what holds the robot."""
+        """Event for the source device, or both if either may be wrong, and devices that hold the robot."""
         names, message = [doubt.source, *([] if doubt.confirmed else [doubt.against])], doubt.message
         if doubt.may_slide:
             names += self._holders
@@ -77,7 +77,7 @@ class AgreementCheck(Check):
         return Event(t_ns, "warning", together(names), message)
 
     def _note(self, doubt: Disagreement) -> None:
-        """Both of two are in doubt, until others agree against one of them."""
+        """Record that both devices are in doubt, or only the source if others agree against it."""
         if doubt.confirmed:
             sure = {name for name, known in self.doubted.items() if known}
             self.doubted.clear()

@@ -13,7 +13,7 @@ _MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}
 
 
 class Exclusion:
-    """Of one run.
+    """The excluded devices of one run.
 
     Args:
         estimated: devices whose measurements the estimators use.
@@ -25,23 +25,23 @@ class Exclusion:
         self.reset()
 
     def reset(self) -> None:
-        """Use all sensors again."""
+        """Clear the exclusions."""
         self._names: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
         return name in self._names
 
     def can_do_without(self, doubt: Disagreement) -> bool:
-        """Whether two others agree against a device, and are enough on this surface.
+        """Whether two others agree against a device, and are sufficient on this surface.
 
-        On a wall all that the estimate uses has to remain: wheels do not see what the robot slides by, and
-        only gravity says which way is up.
+        On a wall the estimate needs all its sensors: wheels do not detect a slide, and only gravity gives the
+        vertical.
         """
         needed = self._on_wall and doubt.source in self._estimated
         return doubt.confirmed and doubt.source in _MEASURED and not needed
 
     def take(self, doubt: Disagreement, cycle: Cycle) -> None:
-        """Believe the source of a doubt no more."""
+        """Exclude the source of a disagreement, and report it."""
         name = doubt.source
         self._names.add(name)
         if name in self._estimated:
@@ -51,7 +51,7 @@ class Exclusion:
         )
 
     def believed(self, measurements: Measurements) -> Measurements:
-        """Measurements without those of devices that were left out."""
+        """Measurements without those of excluded devices."""
         if not self._names:
             return measurements
         nothing: dict[str, tuple[()]] = {_MEASURED[name]: () for name in self._names}

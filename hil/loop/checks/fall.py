@@ -1,4 +1,4 @@
-"""Detects that the robot has come off or slides, by IMU and camera."""
+"""Detects that the robot has detached or slides, by IMU and camera."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from hil.loop.cycle_data import Check, Cycle
 _OK = Status.OK
 _SAMPLES = 3
 _SEEN_BY = {"adhesion": "imu", "sliding": "tracker"}
-"""The kind whose samples show that the robot comes off, or slides."""
+"""The kind whose samples show that the robot has detached (`adhesion`), or slides."""
 
 
 def look_at(holders: Mapping[str, str], begin: str) -> str:
-    """The advice to look at what holds the robot, to be appended; empty where nothing is known to hold it."""
+    """Text to append: advice to check the devices that hold the robot; empty without such devices."""
     return f"; {begin} at the {' and the '.join(holders.values())}" if holders else ""
 
 
 class FallCheck(Check):
-    """Follows one run: a robot that has come off is weightless; one that slides is faster than it can drive.
+    """Checks one run: a detached robot is weightless; a sliding one is faster than it can drive.
 
     Args:
-        lightest_m_s2: specific force below which it is falling.
-        fastest_m_s: speed that the camera may see.
-        holders: what keeps the robot on its surface: by kind, as sentences call it.
+        lightest_m_s2: specific force below which the robot is falling.
+        fastest_m_s: largest plausible speed by the camera.
+        holders: devices that keep the robot on its surface: noun by kind.
     """
 
     def __init__(
@@ -37,11 +37,11 @@ class FallCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen before."""
+        """Clear the state of the run."""
         self._weightless = self._sliding = 0
 
     def on_samples(self, cycle: Cycle) -> None:
-        """IMU and camera; whatever holds the robot may be the cause."""
+        """Check IMU and camera; the suspects are the devices that hold the robot."""
 
         def stop(reason: str, message: str) -> None:
             suspects = (*self._holders, _SEEN_BY[reason])
@@ -50,7 +50,7 @@ class FallCheck(Check):
         self.judge(cycle.inputs, stop)
 
     def judge(self, inputs: Inputs, stop: ReportStop) -> None:
-        """Look at one cycle's samples; `stop` is called with the reason to stop."""
+        """Check one cycle's samples; calls `stop` with the reason to stop."""
         for imu in inputs.imu:
             if imu.status is _OK:
                 light = math.hypot(*imu.specific_force_m_s2.tolist()) < self._lightest_m_s2

@@ -1,6 +1,6 @@
-"""Reports sensors that the estimator has rejected for long, or that fit it badly on the whole.
+"""Reports sensors that the estimator has rejected for long, or whose innovations are too large on average.
 
-Deterministic: depends on the states seen since `reset` and on nothing else.
+Deterministic: depends only on the states since `reset`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ sensors without a fault stay below 1.2 on both plants."""
 
 
 class _Refusals:
-    """How often the filter has refused a sensor, and begun its frame anew.
+    """Counts how often the filter has rejected a sensor, and re-anchored its frame.
 
     Args:
-        name: what the filter calls its samples.
-        device: what they come from.
-        others: what they are held against.
+        name: name of its samples in the filter.
+        device: kind of the sensor.
+        others: text on the sensors that its samples are compared with.
     """
 
     def __init__(self, name: str, device: str, others: str) -> None:
@@ -30,11 +30,11 @@ class _Refusals:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was refused."""
+        """Clear the counts."""
         self._before = (0.0, 0.0)
 
     def news(self, state: RobotState, events: list[Event]) -> tuple[bool, bool]:
-        """Whether its frame began anew in this cycle, and whether a sample was refused."""
+        """Whether its frame was re-anchored in this cycle, and whether a sample was rejected."""
         figures, before = state.diagnostics, self._before
         counts = figures.get(self._began, 0.0), figures.get(self._refused, 0.0)
         if counts == before:
@@ -49,50 +49,50 @@ class _Refusals:
 
 
 class FilterFit(Check):
-    """Follows the estimate of one run."""
+    """Checks the estimate of one run."""
 
     def __init__(self) -> None:
-        self._wheels = _Refusals("wheels", "servos", "what camera and IMU tell")
-        self._camera = _Refusals("tracker", "tracker", "what servos and IMU tell")
+        self._wheels = _Refusals("wheels", "servos", "camera and IMU")
+        self._camera = _Refusals("tracker", "tracker", "servos and IMU")
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was refused."""
+        """Clear the counts."""
         self._wheels.reset()
         self._camera.reset()
         self._misfit, self._largest_m, self._mean = False, 0.0, 1.0
         self._off = (0.0, 0.0)
 
     def take_off(self) -> tuple[float, float]:
-        """By how much the estimate may be off (m, rad) by what was found since the last call."""
+        """Estimate error found since the last call (m, rad); resets it."""
         off, self._off = self._off, (0.0, 0.0)
         return off
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """What the filter refused, and how well its samples fit."""
+        """Check for rejected samples, and for the fit of the camera's poses."""
         assert cycle.state is not None
         self.judge(cycle.state, cycle.events)
         cycle.inflate_next(self.take_off())
 
     def judge(self, state: RobotState, events: list[Event]) -> None:
-        """Look at one cycle's estimate; what is noticed is added to `events`.
+        """Check one cycle's estimate; adds findings to `events`.
 
-        A camera's frame that began anew after a jump of the pose refused nothing, and its driver reports it.
+        A camera frame that was re-anchored after a pose jump without rejected samples is reported by the
+        driver.
         """
         self._wheels.news(state, events)
         self._judge_fit(state, events, *self._camera.news(state, events))
 
     def _judge_fit(self, state: RobotState, events: list[Event], anew: bool, refused: bool) -> None:
-        """Whether the camera's poses fit the rest: single ones may pass the gate while all of them do not.
+        """Check the mean fit of the camera's poses: each may pass the gate although their mean does not fit.
 
-        Poses that are refused one after the other end in a new frame, which forgets them: that is reported
-            above.
+        A series of rejected poses leads to a new frame, which discards them: `_Refusals` reports that.
 
         Args:
             state: the estimate.
-            events: what is noticed is added to them.
-            anew: whether the camera's frame began anew in this cycle.
-            refused: whether one of its poses was refused in this cycle.
+            events: receives findings.
+            anew: whether the camera's frame was re-anchored in this cycle.
+            refused: whether one of its poses was rejected in this cycle.
         """
         figures = state.diagnostics
         misfit, before = figures.get("nis_mean_tracker", 1.0), self._mean
@@ -102,7 +102,7 @@ class FilterFit(Check):
             self._largest_m = innovation_m
         if anew or misfit < _CALM:
             self._misfit, self._largest_m = anew, 0.0
-        if misfit == before or refused or self._misfit:  # the same: no pose has come
+        if misfit == before or refused or self._misfit:  # unchanged: no new pose
             return
         if misfit > _MOST:
             self._misfit, self._off = True, (self._largest_m, 0.0)

@@ -1,4 +1,4 @@
-"""Estimates how quickly a force falls, by its measurements of the last quarter of a second."""
+"""Estimates how quickly a force falls, from its measurements of the last quarter of a second."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ _LEAST_FALL_N = 0.3
 
 
 class ForceTrend:
-    """One measure of a force over time."""
+    """Time series of one force measurement."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, float]] = deque()
 
     def follow(self, t_ns: int, force_n: float) -> None:
-        """Take a measurement, and forget what is older than the span."""
+        """Add a measurement, and drop those older than the time span."""
         seen = self._seen
         seen.append((t_ns, force_n))
         while seen[0][0] < t_ns - _SPAN_NS:
             seen.popleft()
 
     def slope_n_s(self) -> float:
-        """Rate of a fall in N/s by least squares; 0 where there is too little to tell, or none."""
+        """Slope of a falling force (negative), N/s, by least squares; 0 if not falling, or too few values."""
         seen, n = self._seen, len(self._seen)
         if n < _LEAST or seen[-1][0] - seen[0][0] < _SPAN_NS // 2:
             return 0.0

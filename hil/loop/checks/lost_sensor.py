@@ -9,19 +9,19 @@ from hil.loop.safety import Checks
 
 
 class LostCheck(Check):
-    """A robot that is driven does not wait for a sensor that is to come back, nor drives past a blind camera.
+    """Stops a driven robot when a sensor is lost for too long, or a needed camera gives no poses.
 
     Args:
-        samples: ages of all samples.
-        checks: `needs_camera` and `lost_after_s`.
-        excluded: devices that are not believed any more.
+        samples: check with the ages of all samples.
+        checks: for `needs_camera` and `lost_after_s`.
+        excluded: devices that are excluded.
     """
 
     def __init__(self, samples: SensorStatus, checks: Checks, excluded: Exclusion) -> None:
         self._samples, self._checks, self._excluded = samples, checks, excluded
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Stops with `stale_tracker` or `lost_KIND`."""
+        """Check for lost sensors; stops with `stale_tracker` or `lost_KIND`."""
         t_ns = cycle.inputs.t_ns
         followed = self._checks.needs_camera and "tracker" not in self._excluded
         silence = self._samples.silence("tracker", t_ns) if followed else ""

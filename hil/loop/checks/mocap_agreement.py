@@ -1,8 +1,8 @@
 """Compares motion capture with camera and wheels, and finds which of the three disagrees with the others.
 
-Motion capture sees neither scale nor slip, so a camera beside it may differ by its scale only, and wheels by
-what they creep. It stays independent: its poses enter no estimate here. Deterministic: depends on what
-was taken since `reset` and on nothing else.
+Motion capture has no scale error and no slip, so a camera may differ from it only by its scale, and wheels
+only by creep. It stays independent: its poses enter no estimate here. Deterministic: depends only on the
+measurements since `reset`.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ GAP_NS = 300_000_000
 
 @dataclass(frozen=True)
 class MocapTolerances:
-    """What camera and wheels may differ by from motion capture.
+    """Permitted differences of camera and wheels from motion capture.
 
     Attributes:
-        scale: m per metre along the way: the camera's scale, 1 to 2 % where it has not been measured.
-        across: m per metre across it: how far the axes of the rigid body may be turned against the robot's.
-        lever_m: m per radian turned: where the origin of the rigid body lies.
+        scale: m per metre along the path: the camera's scale, 1 to 2 % where it has not been measured.
+        across: m per metre across the path: rotation of the rigid body's axes against the robot's.
+        lever_m: m per radian turned: offset of the rigid body's origin.
         rest_m_s: drift of a camera while nothing moves.
-        warn_m, stop_m: sums for a warning, and at which the robot must not go on: a camera that is late by
-            50 ms unnoticed differs by 6 mm after every start and stop at 0.12 m/s.
+        warn_m, stop_m: sums for a warning and for a stop: an undetected camera delay of 50 ms gives 6 mm
+            after every start and stop at 0.12 m/s.
         path: m per rolled metre by which wheels differ: radii (1 %), wheels that are not parallel (3 %).
-        slipped_warn_m, slipped_stop_m: as above, of the wheels.
+        slipped_warn_m, slipped_stop_m: as `warn_m` and `stop_m`, for the wheels.
     """
 
     scale: float = 0.03
@@ -48,10 +48,10 @@ class MocapTolerances:
 
 
 class PoseTrack(Track):
-    """Keeps place (m, complex) and heading (rad) of a body; a pose that is not valid, and a gap, end it."""
+    """Time series of position (m, complex) and heading (rad); an invalid pose or a gap restarts it."""
 
     def take(self, poses: Iterable[PoseMeasurement]) -> None:
-        """Go on by what has been measured."""
+        """Add measured poses."""
         for pose in poses:
             t_ns, last_ns = pose.stamp.t_ns, self.newest_ns
             x_m, y_m, heading_rad = pose.pose.tolist()
@@ -64,18 +64,18 @@ class PoseTrack(Track):
 
 
 class MocapAgreement:
-    """Sums of motion capture's way against those of camera and wheels.
+    """Sums of the differences between motion capture and camera, and between motion capture and wheels.
 
     Args:
-        wheels: their track, kept by another check.
-        seen: what honest ones differ by.
-        creep: m per rolled metre by which a robot gets lower than its wheels roll.
+        wheels: track of the wheels, updated by another check.
+        seen: permitted differences.
+        creep: m per rolled metre by which a robot on a wall creeps down.
 
     Attributes:
         camera, rolled: the two sums.
-        ways_m: over which the two have been compared since `reset`.
-        allowed: what honest ones differ by.
-        track: motion capture's poses of late.
+        ways_m: distances over which camera and wheels have been compared since `reset`.
+        allowed: permitted differences.
+        track: recent poses of motion capture.
     """
 
     def __init__(self, wheels: WheelTrack, seen: MocapTolerances, *, creep: float) -> None:
@@ -87,7 +87,7 @@ class MocapAgreement:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Clear the state of the run."""
         for part in (self.camera, self.rolled, self._camera_track, self.track, *self._leaps):
             part.reset()
         self._last: list[tuple[int, Kept, Kept] | None] = [None, None]
@@ -95,12 +95,12 @@ class MocapAgreement:
         self._ways, self._errors, self._crept = [0j, 0j], [0j, 0j], 0j
 
     def take(self, camera: tuple[PoseMeasurement, ...], capture: tuple[PoseMeasurement, ...]) -> None:
-        """Take the poses of one cycle."""
+        """Add the poses of one cycle."""
         self._camera_track.take(camera)
         self.track.take(capture)
 
     def compare(self) -> bool:
-        """Add a step of each pair, where enough time has passed; whether there was something to compare."""
+        """Add a step of each pair, if enough time has passed; return whether a step was added."""
         camera, wheels = self._step(0, self._camera_track), self._step(1, self._wheels)
         if camera is not None:
             self._add_camera(*camera)
@@ -109,16 +109,16 @@ class MocapAgreement:
         return not (camera is None and wheels is None)
 
     def unseen(self, pair: Sum) -> bool:
-        """Whether a pair is of wheels that may have slipped while the camera did not look yet."""
+        """Whether a pair includes wheels that may have slipped before the camera delivered poses."""
         return pair is self.rolled and not self._camera_track.covers(pair.since_ns)
 
     def ways(self) -> tuple[complex, complex]:
-        """How far camera and wheels have gone since `reset` (m, motion capture's axes), where it saw them."""
+        """Displacements of camera and wheels since `reset` while captured (m, motion capture's axes)."""
         camera, wheels = self._ways
         return camera, wheels
 
     def errors(self) -> tuple[complex, complex]:
-        """By how much that is off what motion capture saw (m); of wheels without what they may creep."""
+        """Differences of `ways` from motion capture (m); for wheels without the permitted creep."""
         camera, wheels = self._errors
         most = abs(self._crept)
         if not most:
@@ -128,13 +128,13 @@ class MocapAgreement:
         return camera, wheels - crept * up
 
     def _go(self, pair: int, heading: complex, way: complex, true: complex) -> None:
-        """A step in the body's axes, whose heading motion capture knows."""
+        """Add a step in body axes to the displacements, rotated by the heading of motion capture."""
         axes = cmath.rect(1.0, heading.real)
         self._ways[pair] += way * axes
         self._errors[pair] += (way - true) * axes
 
     def _step(self, pair: int, other: Track) -> tuple[int, float, Kept, Kept, Kept, Kept] | None:
-        """Beginning, length (s), and values of another track and of motion capture, before and after."""
+        """A step: beginning, duration (s), and values before and after, of another track and of capture."""
         newest, others = self.track.newest_ns, other.newest_ns
         if newest is None or others is None:
             self._last[pair] = None

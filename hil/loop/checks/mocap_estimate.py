@@ -1,11 +1,10 @@
 """Compares the estimate with motion capture over the whole run, where a slowly growing error adds up.
 
-Camera, wheels and motion capture may differ by some per cent of every step without anything being in doubt
-(`hil.loop.checks.mocap_agreement`), and the estimate that is made of two of them may lean on the wrong one.
-Here its displacement since the start of the run is compared with that of motion capture, which does not
-enter the estimate. The covariance is widened by the difference, so that it covers the truth; where the
-difference grows further, the robot stops.
-Deterministic: depends on what was judged since `reset` and on nothing else.
+Camera, wheels and motion capture may differ by some per cent of every step without being in doubt
+(`hil.loop.checks.mocap_agreement`), and the estimate from two of them may depend on the wrong one. So its
+displacement since the start of the run is compared with that of motion capture, which does not enter the
+estimate. The covariance is increased by the difference, so that it covers the truth; if the difference grows
+further, the robot stops. Deterministic: depends only on the estimates and poses since `reset`.
 """
 
 from __future__ import annotations
@@ -22,30 +21,31 @@ from hil.loop.checks.mocap_agreement import CAPTURE, GAP_NS, MocapAgreement
 from hil.loop.cycle_data import Check, Cycle
 
 _SIGMAS, _SLACK_M, _WARN_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
-"""The estimate covers what is within so many of its sigmas and so much beside (5 mm are promised). A
-warning is given at so much beside, as robots as delivered come to 5.2 mm; until then the covariance is only
-widened by so much."""
+"""An error within this number of sigmas plus this slack counts as covered (5 mm are specified). A warning is
+given at this excess, as robots as delivered reach 5.2 mm; until then the covariance is only increased by
+the last value.
+"""
 _STOP_M = 0.015
-"""So much beyond that, the robot must not go on: the path error by which every lie is to be found."""
+"""Excess error at which the robot must stop: the path error by which every wrong sensor must be found."""
 _KEPT_NS = 38_000_000
-"""Estimates are kept no closer than this: between two of them the way is straight to 0.04 mm."""
+"""Shortest interval of stored estimates: between two of them the path is straight to 0.04 mm."""
 _LEANS = 0.5
-"""Share of the estimate's error that a device must have to be the cause."""
+"""Smallest share of the estimate's error in a device that makes it the cause."""
 
 
 class MocapEstimate(Check):
-    """Follows the estimate of one run.
+    """Checks the estimate of one run.
 
     Args:
-        capture: keeps motion capture's poses, and how far camera and wheels have gone beside it.
-        follows: whether the robot steers by this estimate; else it only warns.
+        capture: keeps the poses of motion capture, and the displacements of camera and wheels.
+        follows: whether control uses this estimate; else it only warns.
 
     Attributes:
         required: the sensor without which the estimate is not checked.
-        accused: devices that may be wrong where the robot stops.
-        excluded: devices that are not believed any more in this run.
-        advice: ends the message of a stop: where else to look.
-        holders: devices that hold the robot, which may slide.
+        accused: devices that may be wrong when the robot stops.
+        excluded: devices that are excluded in this run.
+        advice: end of a stop's message: what else to check.
+        holders: devices that hold the robot: it may slide.
     """
 
     required = CAPTURE.name
@@ -60,7 +60,7 @@ class MocapEstimate(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen in the run."""
+        """Clear the state of the run."""
         self._states.reset()
         self._leap.reset()
         self._last: tuple[int, Kept, Kept] | None = None
@@ -70,13 +70,13 @@ class MocapEstimate(Check):
         self._known = False
 
     def take_off(self) -> tuple[float, float]:
-        """By how much the estimate may be off (m, rad) by what was found since the last call."""
+        """Estimate error found since the last call (m, rad); resets it."""
         off_m, self._off_m = self._off_m, 0.0
         self._widened_m2 += off_m**2
         return off_m, 0.0
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """The estimate against motion capture, while that is believed."""
+        """Compare the estimate with motion capture, unless that is excluded."""
         assert cycle.state is not None
         if self.required not in self.excluded:
             self.judge(cycle.state, cycle.events, lambda reason, message: self._stop(cycle, reason, message))
@@ -86,9 +86,9 @@ class MocapEstimate(Check):
         cycle.stop(reason, message + self.advice, (*self.accused, *self.holders))
 
     def judge(self, state: RobotState, events: list[Event], stop: ReportStop) -> None:
-        """Look at one cycle's estimate; what is noticed is added to `events` or handed to `stop`.
+        """Check one cycle's estimate; adds findings to `events`, or calls `stop`.
 
-        A warning widens the covariance so far that it covers what may come until the robot stops.
+        A warning increases the covariance so that it covers the possible error until the robot stops.
         """
         kept_ns = self._states.newest_ns
         if kept_ns is not None and state.t_ns - kept_ns < _KEPT_NS:
@@ -99,9 +99,9 @@ class MocapEstimate(Check):
             self._compare(state, events, stop)
 
     def _step(self, state: RobotState) -> bool:
-        """Go on by what both have gone; whether enough time has passed, and both were seen.
+        """Add a step of both displacements; return whether enough time has passed and both were measured.
 
-        Behind a gap the body may be another: the axes are matched anew, and nothing is added for the gap.
+        After a gap the rigid body may have changed: the axes are aligned again, and no step is added.
         """
         track, before = self._capture.track, self._last
         newest_ns = track.newest_ns
@@ -128,11 +128,11 @@ class MocapEstimate(Check):
         return True
 
     def _compare(self, state: RobotState, events: list[Event], stop: ReportStop) -> None:
-        """The estimate's way against motion capture's.
+        """Compare the displacements of estimate and motion capture.
 
-        Along the wall's axes it is whether sigmas cover it, along and across the way whether to stop.
-        Lengths do not depend on how the axes are turned against each other. Across, what that may make is
-        added to the covariance, and is no reason to stop.
+        The error along the wall's axes shows whether the sigmas cover it; the error along and across the path
+        decides on a stop. Lengths do not depend on a rotation between the axes. Across the path, its possible
+        effect is added to the covariance, and is no reason to stop.
         """
         way_m, seen, off = abs(self._true), self._capture.allowed, self._gone - self._true
         unit = self._true / way_m if way_m else 1.0 + 0j
@@ -161,9 +161,9 @@ class MocapEstimate(Check):
             stop("sensors_disagree", self._text(off / unit, beyond_m, party))
 
     def _whom(self, off: complex) -> MotionSource:
-        """Devices that have led the estimate astray, by their displacement beside motion capture.
+        """The device that caused the error of the estimate, by its displacement relative to motion capture.
 
-        Where camera and wheels are both off as the estimate is, they agree against motion capture.
+        If camera and wheels both have the error of the estimate, they agree against motion capture.
         """
         size_m2 = max(abs(off) ** 2, 1e-12)
         axes = cmath.rect(1.0, self._turn_rad)
@@ -175,11 +175,11 @@ class MocapEstimate(Check):
         return CAMERA if camera > wheels else WHEELS
 
     def _text(self, off: complex, beyond_m: float, party: MotionSource) -> str:
-        """What each has gone.
+        """Message with the displacements of all devices.
 
         Args:
-            off: by what the estimate is off along the way and across it.
-            beyond_m: how far it is off beyond what turned axes explain.
+            off: error of the estimate along the path and across it, m.
+            beyond_m: error beyond what rotated axes explain, m.
             party: the device that may be wrong.
         """
         gone_m, true_m = abs(self._gone), abs(self._true)

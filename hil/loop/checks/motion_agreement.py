@@ -1,9 +1,9 @@
 """Compares the motion by camera, wheels and gyro, and finds the one that disagrees.
 
-What two of them say of the same stretch is subtracted, step by step, and summed. From the sum each step
-takes what honest sensors may differ by in it (`Honest`), never below zero: honest ones stay near zero however
-long the way is, and a camera that stands still or measures by another scale passes the limit within
-centimetres. Deterministic: depends on the measurements seen since `reset` and on nothing else.
+The differences of two sensors are summed step by step. At each step the sum is reduced by the tolerance of
+good sensors (`Tolerances`), never below zero: good sensors stay near zero over any distance, and a camera
+that is frozen or has another scale exceeds the limit within centimetres. Deterministic: depends only on the
+measurements since `reset`.
 """
 
 from __future__ import annotations
@@ -29,31 +29,32 @@ from hil.robot.kinematics import WheelGeometry
 GYRO = MotionSource("imu", "the gyro")
 _GAP_NS = 1_000_000_000
 _AGREE_M = 0.1
-"""A sensor that has agreed with others over so long a way is believed again: a frozen camera is found in a
-sixth of it."""
+"""A sensor that has agreed with others over this distance is trusted again: a frozen camera is found in a
+sixth of it.
+"""
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What honest sensors differ by, and from where on one of two is not.
+    """Permitted differences of good sensors, and limits from which one of two is wrong.
 
     Attributes:
         path: m per rolled metre: the camera's scale (1 to 2 %), radii (1 %), wheels that are not quite
             parallel (3 % in the robot's public recordings of lines).
-        creep: m per rolled metre beside that by which a robot on a wall gets lower than its wheels roll: 5 to
-            8 % have been seen, climbing as well as across.
+        creep: m per rolled metre in addition, by which a robot on a wall creeps down: 5 to 8 % have been
+            observed, both climbing and across.
         lever_m: m per radian turned: before its calibration, a camera's place on the body is known to 2 to
             3 cm.
         rest_m_s: drift of a camera while nothing moves.
-        turn: rad per radian that the wheels tell: track, radii and scrubbing; 2.3 % in the robot's public
+        turn: rad per radian that the wheels measure: track, radii and scrubbing; 2.3 % in the robot's public
             recordings of turns in place.
         turn_rad_m: rad per rolled metre: wheels that are not parallel; 0.03 in those of lines.
         gyro, gyro_rad_s: rad per radian, and rad per second of bias: the data sheet allows 3 degrees per
             second before the chip has calibrated itself.
         camera_rad_s: drift of the camera's heading.
-        warn_m, warn_rad: sums for a warning. A pose has 0.3 to 1.5 mm of noise, and a camera that is late
-            by 50 ms unnoticed differs by 6 mm after every start and stop at 0.12 m/s.
-        stop_m, stop_rad: sums at which the robot must not go on.
+        warn_m, warn_rad: sums for a warning. A pose has 0.3 to 1.5 mm of noise, and an undetected camera
+            delay of 50 ms gives 6 mm after every start and stop at 0.12 m/s.
+        stop_m, stop_rad: sums at which the robot must stop.
     """
 
     path: float = 0.05
@@ -73,7 +74,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class _Seen:
-    """One instant: the camera's place and heading, the wheels' and the gyro's values."""
+    """Values at one instant: position and heading by the camera, and values of wheels and gyro."""
 
     t_ns: int
     place: complex
@@ -83,13 +84,13 @@ class _Seen:
 
 
 class MotionCheck:
-    """The sums of one bench.
+    """Compares the motion sensors of one bench.
 
     Args:
-        geometry: of the wheels.
-        honest: what honest sensors differ by.
-        on_wall: whether body x points up, within the heading that a wall allows.
-        seen: what honest poses of camera and motion capture differ by.
+        geometry: wheel geometry.
+        honest: permitted differences of good sensors.
+        on_wall: whether body x points up, within the heading limit on a wall.
+        seen: permitted differences of camera and wheels from motion capture.
 
     Attributes:
         capture: motion capture against camera and wheels.
@@ -120,7 +121,7 @@ class MotionCheck:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Clear the state of the run."""
         self._wheels.reset()
         self._gyro.reset()
         for one in (self._way, *self._turns, self._leap, self.capture):
@@ -131,7 +132,7 @@ class MotionCheck:
         self._way_m = 0.0
 
     def update(self, measurements: Measurements) -> tuple[Disagreement, ...]:
-        """Take one cycle's measurements; what is in doubt because of them."""
+        """Process one cycle's measurements; return the disagreements to report."""
         for wheels in measurements.wheels:
             self._wheels.take(wheels)
         for gyro in measurements.gyro:
@@ -145,7 +146,7 @@ class MotionCheck:
         return self._doubts(measurements.t_ns) if looked else ()
 
     def leave_out(self, name: str) -> None:
-        """Compare nothing with this device any more."""
+        """Exclude a device from all comparisons."""
         self._left_out.add(name)
 
     @property
@@ -156,9 +157,9 @@ class MotionCheck:
         return frozenset(name for names in agreed for name in names) - self._left_out
 
     def _look(self, poses: tuple[PoseMeasurement, ...]) -> bool:
-        """Compare the newest camera pose with the last one compared; whether there was something to compare.
+        """Add the step since the last compared camera pose; return whether a step was added.
 
-        A pose that is not valid, and a gap, begin anew: behind them the camera's frame may be another.
+        An invalid pose or a gap restarts the comparison: afterwards the camera's frame may have changed.
         """
         for pose in poses:
             if not pose.valid:
@@ -202,7 +203,7 @@ class MotionCheck:
         return True
 
     def _feel(self, t_ns: int) -> bool:
-        """Compare wheels and gyro by themselves; whether there was something to compare."""
+        """Compare wheels and gyro without the camera; return whether a step was added."""
         before = self._felt
         if before is not None and 0 <= t_ns - before[0] < STEP_NS:
             return False

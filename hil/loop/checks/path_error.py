@@ -11,10 +11,10 @@ from hil.loop.safety import SafetyLimits
 
 
 class PathCheck(Check):
-    """Heading and distance from the reference, before the robot loses its hold or goes astray.
+    """Limits heading and distance from the reference, before the robot loses its hold or leaves its path.
 
     Args:
-        limits: of the bench.
+        limits: limits of the bench.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
@@ -22,7 +22,7 @@ class PathCheck(Check):
         self._farthest_m = limits.tracking_error_limit_m
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Stops with `heading`, `tracking`, or `not_finite` for the reference."""
+        """Check the estimate; stops with `heading`, `tracking`, or `not_finite` for the reference."""
         assert cycle.state is not None
         x_m, y_m, heading_rad = cycle.state.pose_body_in_wall.tolist()
         steepest = self._steepest_rad

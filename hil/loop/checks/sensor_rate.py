@@ -1,7 +1,7 @@
-"""Checks that a sensor's samples come as often and as soon as those of a healthy one: late, lost or slow.
+"""Checks rate and delay of a sensor's samples: reports late, lost or slow samples.
 
-A single lost packet is ignored; a share of them is reported once until it is over. Deterministic: depends on
-the inputs seen since `reset` and on nothing else.
+A single lost packet is ignored; a larger share is reported once until it ends. Deterministic: depends only on
+the inputs since `reset`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _OK = Status.OK
 _WINDOW_NS = 1_000_000_000
 _NEVER_NS = 1 << 62
 _HOST_SHARE = 0.85
-"""Of what a healthy sensor delivers: a host that is busy besides loses some by itself."""
+"""Required share of a healthy sensor's samples: a busy host loses some by itself."""
 _PUNCTUAL = 0.97
 _SETTLED_NS = 700_000_000
-"""After its first good sample: a camera is less sure of itself until then."""
+"""Settling time after the first good sample: a camera's confidence is lower until then."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Healthy:
     """Rates and delays of a healthy sensor of a kind.
 
     Attributes:
-        rate_hz: samples per second; NaN where its owner chooses.
-        delivered: least share of them that are good.
-        age_s: how old a sample may be when it is read.
-        loop_hz: how often it is read. A second in which the loop itself was late says nothing of a sensor.
+        rate_hz: samples per second; NaN where the rate is set outside the bench file.
+        delivered: smallest share of good samples.
+        age_s: largest age of a sample when it is read.
+        loop_hz: how often the sensor is read. A second in which the loop itself was late is not evaluated.
     """
 
     rate_hz: float
@@ -42,7 +42,7 @@ class Healthy:
 
 
 class _Stream:
-    """Counts of one sensor in the present window."""
+    """Counts of one sensor in the present time window."""
 
     def __init__(self, name: str, healthy: Healthy) -> None:
         self.name, self.healthy, self.among = name, healthy, samples_of(name)
@@ -60,10 +60,10 @@ class _Stream:
 
 
 class SensorRate(Check):
-    """Follows the streams of one run.
+    """Checks the sample streams of one run.
 
     Args:
-        healthy: by sensor.
+        healthy: expected rate and delay, by sensor.
     """
 
     def __init__(self, healthy: Mapping[str, Healthy]) -> None:
@@ -71,7 +71,7 @@ class SensorRate(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was counted."""
+        """Clear the counts."""
         self._streams = [_Stream(name, healthy) for name, healthy in self._healthy.items()]
 
     def on_samples(self, cycle: Cycle) -> None:
@@ -79,7 +79,7 @@ class SensorRate(Check):
         self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
-        """Look at one cycle's samples; what is noticed is added to `events`."""
+        """Check one cycle's samples; adds findings to `events`."""
         t_ns = inputs.t_ns
         for stream in self._streams:
             for sample in stream.among(inputs):
@@ -99,7 +99,7 @@ class SensorRate(Check):
                 stream.begin(t_ns)
 
     def _conclude(self, stream: _Stream, t_ns: int, events: list[Event]) -> None:
-        """The end of a window."""
+        """Evaluate a window at its end."""
         name, healthy = stream.name, stream.healthy
         sparse = stream.good < _HOST_SHARE * healthy.delivered * stream.most
         late = stream.good > 0 and stream.youngest_ns > nanoseconds(healthy.age_s)

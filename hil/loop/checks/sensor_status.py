@@ -16,25 +16,25 @@ _OK = Status.OK
 _FORGOTTEN_NS = 1_000_000_000
 _MESSAGES = {
     Status.FROZEN: "repeats the same values to the last bit: frozen; not used",
-    Status.IMPLAUSIBLE: "sends values that cannot be; not used",
-    Status.NOT_FINITE: "sends values that are no numbers; not used",
-    Status.JUMP: "has jumped; not used until it goes on steadily",
+    Status.IMPLAUSIBLE: "sends impossible values; not used",
+    Status.NOT_FINITE: "sends NaN or infinity; not used",
+    Status.JUMP: "has jumped; not used until it is steady",
     Status.RESET: "has started again",
     Status.HARDWARE_ERROR: "reports a hardware error; not used",
     Status.MAGNET: "reports a magnet that is too near or too far",
 }
-"""Statuses that are worth a word at once; a lost packet is not, only a silence is."""
+"""Statuses that are reported at once; a lost packet is not, only a silence."""
 
 
 class SensorStatus(Check):
-    """Follows the samples of one run.
+    """Checks status and age of the samples of one run.
 
     Args:
         stale_s: by sensor, time without a good sample after which it counts as silent.
-        gap_s: by sensor, longest time without one that is still healthy; a longer one is reported of a
-            sensor that has been heard.
-        brought: sensors that other packages bring, and fields that they do not measure; in all other fields
-            of their samples numbers that are none are looked for.
+        gap_s: by sensor, longest healthy time without a good sample; a longer one is reported once a sensor
+            has delivered.
+        brought: sensors of other packages, and fields that they do not measure; all other fields of their
+            samples are checked for NaN and infinity.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class SensorStatus(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget ages and earlier reports."""
+        """Clear ages and earlier reports."""
         self._last_ok_ns: dict[str, int] = {}
         self._last_bad: dict[str, Status] = {}
         self._last_any_ns: dict[str, int] = {}
@@ -71,7 +71,7 @@ class SensorStatus(Check):
         self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
-        """Look at one cycle's samples; what is noticed is added to `events`."""
+        """Check one cycle's samples; adds findings to `events`."""
         t_ns = inputs.t_ns
         for name, among, labels, ages in self._channels:
             good, samples = False, among(inputs)
@@ -98,7 +98,7 @@ class SensorStatus(Check):
                     events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
 
     def _search(self, name: str, samples: Sequence[Any], t_ns: int, events: list[Event]) -> None:
-        """Tell once of each field with numbers that are none, where the status says otherwise."""
+        """Report each field with NaN or infinity and a good status once."""
         for sample in samples:
             for field in unsaid_holes(kinds()[name], sample, self._brought[name]):
                 if (name, field) not in self._holes:
@@ -107,7 +107,7 @@ class SensorStatus(Check):
                     events.append(Event(t_ns, "warning", name, said))
 
     def silence(self, name: str, t_ns: int) -> str:
-        """For how long a sensor that counts as silent has sent nothing good, and what instead; else empty."""
+        """Text: time since the last good sample of a silent sensor, and its last bad status; else empty."""
         duration_ns = t_ns - self._last_ok_ns.get(name, t_ns)
         if name not in self._stale_ns or duration_ns <= self._stale_ns[name]:
             return ""
@@ -116,7 +116,7 @@ class SensorStatus(Check):
         return f"for {duration_s:.1f} s" + (" (nothing arrives)" if bad is None else f" ({bad.value})")
 
     def away_s(self, name: str, t_ns: int) -> float:
-        """For how long a sensor has sent nothing at all, good or bad, since its first sample; else 0."""
+        """Time (s) since a sensor's last sample, good or bad; 0 before its first one."""
         return (t_ns - self._last_any_ns.get(name, t_ns)) / NS_PER_S
 
     def _look(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
@@ -131,7 +131,7 @@ class SensorStatus(Check):
             events.append(Event(t_ns, "warning", name, part + _MESSAGES[status]))
 
     def _limit_ns(self, name: str) -> float:
-        """Silence (ns) that is reported: shorter for a sensor that has been heard than for others."""
+        """Silence (ns) that is reported: shorter for a sensor that has delivered than for others."""
         limits = self._warn_ns if name in self._heard else self._stale_ns
         return limits.get(name, math.inf)
 
@@ -154,7 +154,7 @@ class SensorStatus(Check):
             events.append(Event(t_ns, "warning", name, f"stale for {(t_ns - last_ns) / NS_PER_S:.3f} s"))
 
     def _may_report(self, name: str, t_ns: int) -> bool:
-        """Whether a gap is reported: repeated ones only once a second."""
+        """Whether to report a gap: repeated gaps only once a second."""
         return t_ns - self._last_gap_ns.get(name, -_FORGOTTEN_NS) >= _FORGOTTEN_NS
 
 

@@ -1,6 +1,6 @@
 """Checks the servos' own data: silence, alerts, wheels that do not turn, encoders that slip.
 
-Names the servo, its bus ID where known, what it did and what to do.
+Messages name the servo, its bus ID where known, the fault and the remedy.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from hil.loop.cycle_data import Check, Cycle
 _BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
 _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05
 _REPORT_NS = 50_000_000
-"""From event to stop."""
+"""Time from a step of an encoder to the stop, ns."""
 _ALL_OK = (Status.OK,) * 8
 _REMEDIES = {
     Status.HARDWARE_ERROR: "remove the cause, then reboot it",
     Status.RESET: "it has restarted: check its supply",
-    Status.CRC: "what it sends arrives damaged: check cable, ground and baud rate",
+    Status.CRC: "its packets arrive damaged: check cable, ground and baud rate",
     Status.PROTOCOL: "check that no two servos have the same ID",
     Status.TIMEOUT: "check its cable, its supply and its ID",
 }
-"""The most telling status comes first: a damaged servo makes those behind it in the chain silent."""
+"""The most specific status comes first: a damaged servo makes those behind it in the chain silent."""
 
 
 class ServoCheck(Check):
-    """Follows the servos of one run.
+    """Checks the servos of one run.
 
     Args:
-        stale_s: longest time without a complete read; None where there are no servos to be heard of.
+        stale_s: longest time without a complete read, s; None without servos.
         ids: bus IDs in the order of `SERVOS`; empty when unknown.
 
     Attributes:
-        asked_rad_s: (4,) wheel rates that were commanded last.
+        asked_rad_s: (4,) last commanded wheel rates.
     """
 
     def __init__(self, stale_s: float | None, ids: tuple[int, ...] = ()) -> None:
@@ -47,7 +47,7 @@ class ServoCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen before."""
+        """Clear the state of the run."""
         self.asked_rad_s = [0.0] * 4
         self._asked_since_ns: list[int | None] = [None] * 4
         self._asked_at_rad = [0.0] * 4
@@ -58,17 +58,17 @@ class ServoCheck(Check):
         self._slipped: tuple[int, str] | None = None
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Alerts, wheels that do not turn, steps, silence."""
+        """Check for alerts, wheels that do not turn, encoder steps and silence."""
         self.asked_rad_s = cycle.last.wheel_rate_rad_s
         self.judge(cycle.inputs, cycle.events, cycle.stop)
         self.check_silence(cycle.inputs, cycle.stop)
 
     def judge(self, inputs: Inputs, events: list[Event], stop: ReportStop) -> None:
-        """Look at one cycle's reads; what is noticed is added to `events` or handed to `stop`.
+        """Check one cycle's reads; adds findings to `events`, or calls `stop`.
 
         Args:
             inputs: samples of this cycle.
-            events: receives what is noticed.
+            events: receives findings.
             stop: called with the reason to stop.
         """
         outside, self._outside = self._outside, _outside(inputs.encoders, self._outside)
@@ -82,7 +82,7 @@ class ServoCheck(Check):
             stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
 
     def check_silence(self, inputs: Inputs, stop: ReportStop) -> None:
-        """Whether all eight have answered together lately."""
+        """Stop with `stale_servos` if the last complete read is too old."""
         if self._stale_ns is None:
             return
         if self._complete_ns is None:
@@ -96,12 +96,12 @@ class ServoCheck(Check):
                     self._missed[j] = (self._missed.get(j, (0, status))[0] + 1, status)
         silent_ns = inputs.t_ns - self._complete_ns
         if silent_ns > self._stale_ns:
-            stop("stale_servos", f"no complete servo read for {silent_ns / NS_PER_S:.3f} s: {self._who()}")
+            stop("stale_servos", f"no complete servo read for {silent_ns / NS_PER_S:.3f} s: {self._failed()}")
 
-    def _who(self) -> str:
-        """Servos that missed most reads since the last complete one, with status and what to do.
+    def _failed(self) -> str:
+        """Text: servos that missed most reads since the last complete one, with status and remedy.
 
-        One that is silent takes others of its chain along for a read or two.
+        A silent servo makes others of its chain silent for a read or two; these are left out.
         """
         most = max((count for count, _ in self._missed.values()), default=0)
         missed = {j: status for j, (count, status) in sorted(self._missed.items()) if 2 * count > most}
@@ -109,7 +109,7 @@ class ServoCheck(Check):
         if not missed or (len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}):
             return (
                 "none of the eight answers in time; check the servos' supply, the bus cable, the adapter and "
-                "the baud rate; one that answers late holds up all (a look after the stop names it)"
+                "the baud rate; one late servo delays all (the check after the stop names it)"
             )
         found = ", ".join(f"{self._names[j]}: {status.value}" for j, status in missed.items())
         known = [remedy for status, remedy in _REMEDIES.items() if status in kinds]
@@ -120,7 +120,7 @@ class ServoCheck(Check):
         return f"servo alert of {found}; remove the cause, then reboot the servo"
 
     def _check_turning(self, angles: list[float], t_ns: int, stop: ReportStop) -> None:
-        """A wheel that is asked to turn and reports the same angle is blocked, or its servo is stuck."""
+        """Stop if a wheel is commanded to turn and reports the same angle: blocked, or its servo is stuck."""
         blocked, all_since_ns, at_rad = False, self._asked_since_ns, self._asked_at_rad
         for i, asked_rad_s in enumerate(self.asked_rad_s):
             since_ns, angle = all_since_ns[i], angles[i]
@@ -134,19 +134,19 @@ class ServoCheck(Check):
             stop("blocked", self.standing(t_ns, _BLOCKED_NS))
 
     def standing(self, t_ns: int, longer_than_ns: int = _STANDING_NS) -> str:
-        """Which wheels were commanded to turn for that long and report the same angle; empty for none."""
+        """Text: wheels that were commanded to turn for so long and report the same angle; else empty."""
         found = [
             f"wheel {WHEELS[i]} is asked for {self.asked_rad_s[i]:.2f} rad/s and has not turned for "
             f"{(t_ns - since_ns) / NS_PER_S:.1f} s"
             for i, since_ns in enumerate(self._asked_since_ns)
             if since_ns is not None and t_ns - since_ns > longer_than_ns
         ]
-        return f"{', '.join(found)}: blocked, or its servo repeats itself" if found else ""
+        return f"{', '.join(found)}: blocked, or its servo repeats old values" if found else ""
 
     def _check_steps(
         self, sample: ServoSample, angles: list[float], outside: list[float], events: list[Event]
     ) -> None:
-        """A servo that reports a step which no motor can make has an encoder that slips."""
+        """Find steps that no motor can make: the servo's encoder has slipped."""
         t_ns, last_rad = sample.stamp.t_ns, self._last_rad
         if sample.status == _ALL_OK:
             for j in range(8):
@@ -166,7 +166,7 @@ class ServoCheck(Check):
     def _leapt(
         self, j: int, step_rad: float, dt_s: float, t_ns: int, outside: list[float], events: list[Event]
     ) -> None:
-        """Tell of a leap, beside what the external encoder of a steering axis did since `outside`."""
+        """Report a step, with the turn of the steering axis' external encoder since `outside`."""
         said = f"{self._names[j]} reports a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
         if j >= 4 and math.isfinite(turned := self._outside[j - 4] - outside[j - 4]):
             said += f"; the external encoder {WHEELS[j - 4]} turned by {abs(wrap(turned)):.2f} rad"
@@ -176,7 +176,7 @@ class ServoCheck(Check):
 
 
 def _outside(samples: tuple[EncoderSample, ...], before: list[float]) -> list[float]:
-    """Newest known external angles (4,)."""
+    """Newest known angles of the external encoders (4,), rad."""
     if not samples:
         return before
     angles: list[float] = samples[-1].angle_rad.tolist()

@@ -1,7 +1,7 @@
 """Checks that an estimate is usable: finite, with a covariance, of this cycle.
 
-What compares an estimate with others weighs it by its variances and by its time: with a variance that is not
-a number, or a time that stands still, nothing would ever be found to differ.
+Comparisons of an estimate with other data use its variances and its time: with a variance of NaN, or a time
+that stands still, they would never find a difference.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from hil.core.signals import Event, RobotState
 from hil.loop.cycle_data import Check, Cycle
 
 _OLD_NS = nanoseconds(0.1)
-"""As old as the servos' angles may be that it is made of."""
+"""Largest age of an estimate, as that of the servos' angles that it uses."""
 _ROUNDING = -1e-9
-"""m^2 and the like: a variance of zero may come out so far below it."""
+"""Rounding error (m^2 etc.): a variance of zero may be computed slightly negative."""
 _OF = ("x", "y", "heading", "speed along x", "speed along y", "turn rate")
 _REMEDY = "mend the estimator, or follow another (feedback: odometry, ekf or ukf)"
 
 
 def must_be_usable(state: RobotState, now_ns: int | None) -> None:
-    """Refuse an estimate that cannot be judged.
+    """Refuse an estimate that cannot be checked.
 
     Args:
         state: the estimate.
-        now_ns: time of the cycle; None where none was judged before.
+        now_ns: time of the cycle; None to skip the check of the estimate's time.
 
     Raises:
         SafetyStop: `not_finite`, `negative_variance` or `stale_estimate`.
@@ -38,16 +38,16 @@ def must_be_usable(state: RobotState, now_ns: int | None) -> None:
 
 
 class UsableCheck(Check):
-    """Whether the estimate that is followed can be judged at all."""
+    """Checks that the estimate in the loop is usable."""
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Check that the estimate is finite, with possible variances, and of this cycle."""
+        """Check that the estimate is finite, with valid variances, and of this cycle."""
         assert cycle.state is not None
         must_be_usable(cycle.state, cycle.inputs.t_ns)
 
 
 class ObserverCheck(Check):
-    """Whether estimates that are not followed are usable: each kind of trouble once per estimator and run.
+    """Checks the estimates outside the loop: reports each kind of fault once per estimator and run.
 
     Attributes:
         checked: names of the observers that are checked.
@@ -56,7 +56,7 @@ class ObserverCheck(Check):
     checked: tuple[str, ...] = ()
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Check every estimate that is not followed."""
+        """Check every estimate that control does not use."""
         for name in self.checked:
             cycle.events += self.judge(name, cycle.observers[name], cycle.inputs.t_ns)
 
@@ -64,11 +64,11 @@ class ObserverCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was noticed."""
+        """Clear the reported faults."""
         self._known: set[tuple[str, str]] = set()
 
     def judge(self, name: str, state: RobotState, now_ns: int) -> tuple[Event, ...]:
-        """A warning where the estimate of the observer `name` has become unusable in a new way."""
+        """Warn if the estimate of the observer `name` has a fault that was not reported before."""
         found = _unusable(state, now_ns)
         if found is None or (name, found[0]) in self._known:
             return ()
@@ -84,7 +84,7 @@ def _unusable(state: RobotState, now_ns: int | None) -> tuple[str, str, str] | N
     variances: list[float] = state.covariance.diagonal().tolist()
     if not math.isfinite(sum(variances)):
         message = (
-            f"the estimate does not say how sure it is: its variance of {_named(variances, math.isfinite)} "
+            f"the estimate has no usable covariance: its variance of {_named(variances, math.isfinite)} "
             "is not finite"
         )
         return "not_finite", message, _REMEDY

@@ -1,8 +1,8 @@
 """Compares external encoders with the servos' own angles: finds slipped horns and damaged gears.
 
-The servo measures before gear play and horn, the external encoder behind them. Their lasting
-difference moves when the horn slips, or the servo's own encoder. Only settled axes are compared, because
-the two are not sampled at the same instant.
+The servo measures before backlash and horn, the external encoder after them. Their lasting difference changes
+when the horn or the servo's own encoder slips. Only settled axes are compared, because the two are not
+sampled at the same instant.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class CrossCheckResult:
     """Diagnostic per axis, wheel order, four each.
 
     Attributes:
-        difference_rad: encoder minus servo, relative to what was learnt at the start, smoothed; NaN if
+        difference_rad: encoder minus servo, relative to the offset learnt at the start, smoothed; NaN if
             unknown.
-        now_rad: the same of the newest settled pair, not smoothed.
+        now_rad: the same for the newest settled pair, not smoothed.
         horn_slip: the lasting difference exceeds the threshold.
     """
 
@@ -41,11 +41,11 @@ class CrossCheckResult:
 
 
 class _Axis:
-    """One steering axis; plain floats, because it is asked in every run.
+    """One steering axis; plain floats, because it is used in every run.
 
     Args:
-        known_rad: what the difference should be; None where nothing is known of it.
-        astray_rad: further off, what is learnt is wrong.
+        known_rad: expected difference; None if unknown.
+        astray_rad: deviation from it beyond which the learnt offset is wrong.
     """
 
     def __init__(self, known_rad: float | None, astray_rad: float) -> None:
@@ -55,16 +55,16 @@ class _Axis:
 
     @property
     def difference_rad(self) -> float:
-        """Lasting difference from what was learnt."""
+        """Smoothed difference from the learnt offset, rad; NaN before it is learnt."""
         return wrap(self.lasting - self.reference) if self.count >= _LEARN else _NAN
 
     @property
     def now_rad(self) -> float:
-        """The newest difference from what was learnt."""
+        """The newest difference from the learnt offset, rad."""
         return wrap(self.latest - self.reference)
 
     def update(self, raw_rad: float, servo_rad: float) -> None:
-        """Take encoder minus servo, whole turns or not, and the servo's angle."""
+        """Process encoder minus servo angle, which may include whole turns, and the servo's angle."""
         settled = abs(servo_rad - self.last_servo) < _SETTLED_RAD
         self.last_servo = servo_rad
         if settled and math.isfinite(raw_rad):
@@ -81,21 +81,21 @@ class _Axis:
         self.lasting = wrap(self.lasting + _MEMORY * wrap(raw_rad - self.lasting))
 
     def _correct(self) -> None:
-        """Replace a learned offset by the known one, where the two are too far apart."""
+        """Replace the learnt offset by the known one if they differ too much."""
         known_rad = self._known_rad
         if known_rad is not None and abs(wrap(self.reference - known_rad)) > self._astray_rad:
             self.reference = known_rad
 
 
 class CrossCheck:
-    """Follows the difference of two angles of the same axis; feed it every 50 ms.
+    """Tracks the difference of two angles per steering axis; call `update` every 50 ms.
 
-    What is learnt at the start is taken for right, unless the zeros of the encoders are known and it is far
-    from them, or it was measured before and has changed.
+    The offset learnt at the start is used, unless it is far from the known zeros of the encoders, or from a
+    difference that was measured before.
 
     Args:
-        config: of the encoders.
-        measured_rad: (4,) the difference as it was measured before; None where it was not.
+        config: settings of the encoders.
+        measured_rad: (4,) difference that was measured before; None without one.
     """
 
     def __init__(self, config: EncodersConfig, measured_rad: Sequence[float] | None = None) -> None:
@@ -103,7 +103,7 @@ class CrossCheck:
         self.reset()
 
     def reset(self) -> None:
-        """Learn the reference anew (after the horn has been refitted)."""
+        """Learn the offset again (after the horn has been refitted)."""
         if self._measured_rad is not None:
             astray_rad = self._config.horn_slip_threshold_rad
             self._axes = tuple(_Axis(measured_rad, astray_rad) for measured_rad in self._measured_rad)
@@ -135,9 +135,9 @@ class SteeringWatch(Check):
     """The cross-check of a running robot: reports a slipped horn, and stops the robot.
 
     Args:
-        config: of the encoders.
+        config: settings of the encoders.
         ids: bus IDs of the four steering servos; empty when unknown.
-        measured_rad: as of `CrossCheck`.
+        measured_rad: as in `CrossCheck`.
         stops: whether a slipped horn stops the robot, or is reported only.
     """
 
@@ -157,25 +157,25 @@ class SteeringWatch(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the learned offsets."""
+        """Clear the learnt offsets."""
         self._check.reset()
         self._last_ns: int | None = None
         self._since_ns: dict[int, int] = {}
 
     def on_samples(self, cycle: Cycle) -> None:
-        """External encoders against the servos."""
+        """Compare external encoders with the servos."""
         stop = cycle.stop if self._stops else go_on
         self.judge(cycle.inputs, cycle.measurements, cycle.events, stop)
 
     def judge(
         self, inputs: Inputs, measurements: Measurements, events: list[Event], stop: ReportStop
     ) -> None:
-        """Compare one cycle's newest angles: an event when they differ, `stop` when that lasts and is far.
+        """Compare one cycle's newest angles: an event if they differ, `stop` for a large lasting difference.
 
         Args:
             inputs: samples of this cycle.
             measurements: the same, aligned.
-            events: receives what is noticed.
+            events: receives findings.
             stop: called with the reason to stop.
         """
         t_ns, last_ns = inputs.t_ns, self._last_ns

@@ -1,12 +1,11 @@
 """Finds the wheel that contradicts the other three: its hub slips, or its servo reports wrong values.
 
-The motion of the body has three unknowns and the wheels measure eight values: any three give how far the
-fourth has to roll. Healthy wheels of a driven robot keep to that within 0.6 mm in 0.4 s, on both plants,
-because all four are commanded by one motion. A wheel that begins to slip leaves it by millimetres for as long
-as its motor needs to come back to its speed; after that nothing is seen of it while it goes on to slip, so
-that the estimate is unsure from then on by a share of the way. A wheel that has slipped from the start is not
-found.
-Deterministic: depends on what was judged since `reset` and on nothing else.
+The motion of the body has three unknowns and the wheels measure eight values: any three wheels determine how
+far the fourth has to roll. Healthy wheels of a driven robot agree within 0.6 mm in 0.4 s, on both plants,
+because all four are commanded by one motion. A wheel that begins to slip deviates by millimetres until its
+motor has returned to its speed; then the slip is no longer visible although it continues, so that the
+covariance is increased from then on by a share of the distance. A wheel that has slipped from the start is
+not found. Deterministic: depends only on the samples since `reset`.
 """
 
 from __future__ import annotations
@@ -25,20 +24,22 @@ from hil.robot.kinematics import WheelGeometry
 
 _STEP_NS, _WINDOW_NS = 78_000_000, 400_000_000
 _APART_M, _APART_SHARE, _AGAIN = 0.0008, 0.02, 2
-"""More than honest wheels contradict each other by (0.05 mm straight on, 0.55 mm where an arc begins or
-ends), per metre more, and how often in a row it is to be seen. Directions of steered wheels come late."""
+"""Limit above the residual of good wheels (0.05 mm on a line, 0.55 mm where an arc begins or ends), addition
+per metre, and required number of successive detections. Directions of steered wheels are delayed.
+"""
 _SWUNG_RAD = 0.1
-"""A wheel that is swung by so much in a step goes to another direction: what it rolls then does not count."""
+"""Steering angle per step above which the rolled distance does not count."""
 _AT_ONCE_M, _WAY_SHARE, _WIDEN_M = 0.003, 0.05, 0.003
-"""What the estimate is unsure by where one wheel of four slips, then per metre, and in which steps: its error
-grows by a tenth of the way, whatever the share by which the hub slips."""
+"""Uncertainty of the estimate when one wheel of four slips, addition per metre, and step size: the error
+grows by a tenth of the distance, for any share of slip.
+"""
 
 
 class WheelSlipCheck(Check):
-    """Follows the wheels of one run.
+    """Checks the wheels of one run.
 
     Args:
-        geometry: of the wheels.
+        geometry: wheel geometry.
         ids: bus IDs in the order of `SERVOS`; empty when unknown.
     """
 
@@ -51,41 +52,41 @@ class WheelSlipCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was seen in the run."""
+        """Clear the state of the run."""
         self._forget()
         self._reported = self._doubted = False
         self._way_m = self._since_m = self._sigma_m = self._off_m = 0.0
 
     def _forget(self) -> None:
-        """Forget what is known of the wheels."""
+        """Clear the last sample and the window."""
         self._last: tuple[int, list[float], list[float]] | None = None
         self._steps: deque[tuple[int, list[float], list[float], float]] = deque()
         self._rolled_m, self._said_m, self._loose_m = [0.0] * 4, [0.0] * 4, 0.0
         self._suspect, self._seen = -1, 0
 
     def take_off(self) -> tuple[float, float]:
-        """By how much the estimate may be off (m, rad) by what was found since the last call."""
+        """Estimate error found since the last call (m, rad); resets it."""
         off_m, self._off_m = self._off_m, 0.0
         return off_m, 0.0
 
     def doubt(self) -> None:
-        """Other sensors say that wheels slip, and not since when: perhaps since the start of the run."""
+        """Note that other sensors show wheel slip, perhaps since the start of the run."""
         self._doubted = True
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Each wheel against the other three."""
+        """Compare each wheel with the other three."""
         self.judge(cycle.inputs.t_ns, cycle.measurements.wheels, cycle.events)
         cycle.inflate_next(self.take_off())
 
     def judge(self, t_ns: int, samples: tuple[WheelMeasurement, ...], events: list[Event]) -> None:
-        """Look at one cycle's wheels; what is noticed is added to `events`."""
+        """Check one cycle's wheels; adds findings to `events`."""
         for sample in samples:
             if self._take(sample):
                 self._compare(t_ns, events)
                 self._widen()
 
     def _take(self, sample: WheelMeasurement) -> bool:
-        """Go on by one sample; whether enough time has passed. Incomplete ones are bridged."""
+        """Process a sample; return whether a step was completed. Incomplete samples are skipped."""
         t_ns, last = sample.stamp.t_ns, self._last
         if last is not None and t_ns - last[0] < _STEP_NS:
             return False
@@ -111,13 +112,13 @@ class WheelSlipCheck(Check):
         return True
 
     def _roll(self, t_ns: int, rolled_m: list[float], angle_rad: list[float], loose_m: float) -> None:
-        """Add a step (4,) along these directions to the window, and drop what is too old.
+        """Add a step (4,) along the wheel directions to the window, and drop old steps.
 
         Args:
             t_ns: end of the step.
-            rolled_m: (4,).
+            rolled_m: (4,) rolled distances.
             angle_rad: (4,) directions.
-            loose_m: what the turning of these directions leaves open.
+            loose_m: possible error because the directions change during the step.
         """
         c, s = [math.cos(a) for a in angle_rad], [math.sin(a) for a in angle_rad]
         u = [part * r for r, *parts in zip(rolled_m, c, s, strict=True) for part in parts]
@@ -136,7 +137,7 @@ class WheelSlipCheck(Check):
         self._said_m = [a + sign * b for a, b in zip(self._said_m, said_m, strict=True)]
 
     def _compare(self, t_ns: int, events: list[Event]) -> None:
-        """The wheel that is farthest from what the other three say."""
+        """Report the wheel with the largest deviation from the other three, if it exceeds the limit."""
         apart = [abs(a - b) for a, b in zip(self._rolled_m, self._said_m, strict=True)]
         worst = max(range(4), key=apart.__getitem__)
         if apart[worst] <= _APART_M + _APART_SHARE * abs(self._said_m[worst]) + self._loose_m:
@@ -153,13 +154,13 @@ class WheelSlipCheck(Check):
         share = f" ({100.0 * rolled_mm / said_mm:.0f} %)" if abs(said_mm) > 1.0 else ""
         said = (
             f"{self._names[worst]} rolled {rolled_mm:.1f} mm in {_WINDOW_NS / NS_PER_S:.1f} s and the other "
-            f"three say {said_mm:.1f} mm{share}: it slips or its servo lies, look at its hub and horn; the "
+            f"three say {said_mm:.1f} mm{share}: it slips or its servo is wrong, check hub and horn; the "
             f"estimate is unsure by {1e3 * _AT_ONCE_M:.0f} mm and {100.0 * _WAY_SHARE:.0f} % of the way more"
         )
         events.append(Event(t_ns, "warning", "servos", said))
 
     def _widen(self) -> None:
-        """Have the estimate as unsure as it is, in steps."""
+        """Increase the covariance with the distance after a slip, in steps."""
         if not self._doubted:
             return
         wanted_m = _AT_ONCE_M + _WAY_SHARE * (self._way_m - self._since_m)
@@ -169,7 +170,7 @@ class WheelSlipCheck(Check):
 
 
 def _by_the_others(projection: Array) -> Array:
-    """(8, 8): displacements (x, y) of each wheel, of those of the three others."""
+    """Matrix (8, 8): displacements (x, y) of each wheel from those of the three others."""
     found = np.zeros((8, 8))
     for i in range(4):
         rows = [k for k in range(8) if k // 2 != i]
