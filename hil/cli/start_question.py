@@ -33,12 +33,12 @@ def parse_start(text: str) -> tuple[float, float, float]:
 
 
 def start_override(given: str | None) -> dict[str, object]:
-    """What `--start` says, as an override of the bench file."""
+    """`--start` as an override of the bench file; empty without it."""
     return {} if given is None else {KEY: parse_start(given)}
 
 
 def asked_start(config: BenchConfig) -> dict[str, object]:
-    """The start pose as an override, asked for at the terminal where it is unknown.
+    """The start pose as an override; asks at the terminal if it is unknown.
 
     Raises:
         ConfigError: it is unknown, and there is no terminal.
