@@ -1,7 +1,7 @@
 """Watches standard output and standard error: without a reader, the command ends in an orderly way.
 
 The reader may disappear (`| head`, a closed terminal); later output is discarded. A command that handles
-SIGTERM, as those that drive a robot do, is sent SIGTERM and ends with 4, unless its verdict was already known.
+SIGTERM, as those that drive a robot do, gets SIGTERM and ends with 4, unless its verdict was already known.
 Any other command runs to its end, and its exit code is that of its result, whether the reader left before the
 last line or after it. If the output fails for another reason (a full disk), the exit code is always 4, with
 `Aborted` if the command does not handle SIGTERM.

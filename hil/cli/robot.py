@@ -127,9 +127,7 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
 )
 @click.option("--bench", type=BENCH, help="Bench file or profile of the robot; needed with --from.")
 @click.option(
-    "--of-this-robot",
-    is_flag=True,
-    help="Confirm that a file which names no robot is of this robot.",
+    "--of-this-robot", is_flag=True, help="Confirm that a file which names no robot is of this robot."
 )
 @JSON
 def apply(
