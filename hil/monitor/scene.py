@@ -46,7 +46,7 @@ class Scene:
         geometry: of the wheels, nominal or calibrated.
         robot: masses, outline, fan and propellers.
         environment: how steep the surface is.
-        looks: a mesh of the user's.
+        looks: mesh given by the user.
         x_range_m, y_range_m: usable surface in the wall frame; None where it has no bounds.
         mounted: devices that have a place on the robot.
         devices: tables of the bench's devices, by kind.
