@@ -88,7 +88,7 @@ def first_difference(a: Any, b: Any, where: str = "") -> str | None:
 
     Args:
         a: recorded value.
-        b: value to hold against it.
+        b: value to compare with it.
         where: dotted path of the value, for the message.
     """
     if identical(a, b):
