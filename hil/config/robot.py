@@ -62,7 +62,7 @@ class RobotConfig(Strict):
 
     @property
     def weight_n(self) -> float:
-        """What the robot weighs."""
+        """Weight of the robot, N."""
         return self.mass_kg * GRAVITY_M_S2
 
     def hold_limit_rad(self) -> float | None:
