@@ -135,7 +135,7 @@ def command(
 
     With --out the line also appears, whole, as a file once every device answers; what an earlier run left
     there is removed at the start, and the file is removed again when the emulator ends in order. In a script
-    `hil emulate --wait FILE` stands between an emulator in the background and its first client.
+    put `hil emulate --wait FILE` between an emulator in the background and its first client.
 
     A robot on a wall is held by hand until a client enables torque, and slides without it from then on: the
     first line on stderr says so, the last one whether it is held, and how far it is from where it began.

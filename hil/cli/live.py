@@ -123,7 +123,7 @@ def command(
     from hil.support.stop_signals import StopRequest
 
     if request.ros2_topic and commands != "none":
-        raise UsageError(f"--command and --controller {request.controller} both want to move the robot")
+        raise UsageError(f"--command and --controller {request.controller} would both move the robot")
     _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
     if repeated is not None and request.ros2_topic:
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
@@ -195,8 +195,7 @@ def _must_agree(
     """Refuse options that contradict each other, and a recording that cannot be written."""
     if source is not None and commands != "none":
         raise UsageError(
-            f"--trajectory and commands from {commands} both want to move the robot",
-            remedy="give one of them",
+            f"--trajectory and commands from {commands} would both move the robot", remedy="give one of them"
         )
     if unrecorded and record is not None:
         raise UsageError("--record and --no-record contradict each other", remedy="give one of them")

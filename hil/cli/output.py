@@ -31,7 +31,7 @@ _STDOUT, _STDERR = 1, 2
 
 @dataclass
 class Answered:
-    """Whether a command has written its JSON object and goes on; an error then adds none."""
+    """Whether a command that still runs has written its JSON object; a later error then adds none."""
 
     already: bool = False
 
@@ -123,7 +123,7 @@ def print_end(text: str, held: Mapping[str, Any]) -> None:
     """Print how a run ended; without a reader, standard error says at least how the robot was left.
 
     Args:
-        text: all that is to be said.
+        text: the complete text.
         held: `Held.to_json` of the robot.
     """
     from hil.bench.hold.result import held_in_words

@@ -202,7 +202,7 @@ def text_of(result: Result) -> str:
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
     notes = result.facts["notes"]
-    if result.verdict is Verdict.PASS:  # then the last count: what was set again, faults asked for in vain
+    if result.verdict is Verdict.PASS:  # only notes on repeated measurements and unused faults
         last = sum("earlier" in row for row in result.measurements) + bool(result.facts["faults_not_begun"])
         notes = notes[len(notes) - last :]
     lines += [f"note: {note}" for note in notes]

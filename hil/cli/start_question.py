@@ -1,4 +1,4 @@
-"""Where a real robot stands: `--start`, or a question at the terminal."""
+"""Start pose of a real robot: from `--start`, or from a question at the terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FORM = "x,y,theta: m, m, rad in the wall frame (theta also as 5deg)"
 
 
 def parse_start(text: str) -> tuple[float, float, float]:
-    """Pose of `x,y,theta`; raises `UsageError` that says how it is written."""
+    """Pose of a text `x,y,theta`; raises `UsageError` that names this form."""
     parts = [part.strip() for part in text.split(",")]
     try:
         x_m, y_m = map(float, parts[:-1])

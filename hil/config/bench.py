@@ -82,7 +82,7 @@ class BenchConfig(Strict):
         return {name: table.name for name, table in self.devices().items()}
 
     def imperfections(self, kind: str) -> dict[str, Any]:
-        """What the bench file says in `[emulation.KIND]`."""
+        """The table `[emulation.KIND]` of the bench file; empty without one."""
         found: dict[str, Any] = getattr(self.emulation, kind, {})
         return found
 

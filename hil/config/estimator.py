@@ -51,7 +51,7 @@ class WheelNoise(Strict):
         per_sqrt_s: random creep of a wheel at rest, m per square root of a second.
         steering_m_rad: m of noise per radian that the module turned during the step.
         longest_gap_s: a longer interval is not taken for one displacement.
-        friction_window_s: wheel steps that `dry-friction` and `creep` look at together.
+        friction_window_s: wheel steps that `dry-friction` and `creep` evaluate together.
     """
 
     model: Literal["equations", "paper", "dry-friction", "creep"] = "equations"

@@ -340,7 +340,7 @@ def _reason(item: Any) -> str:
 
 
 def _reason_of_schema(found: object) -> str:
-    """What to do about a bench file that is not of this format, or says so in another type."""
+    """Problem and remedy for a bench file whose `schema` is wrong, or is of another type."""
     if str(found) == str(_SCHEMA):
         return f"write it without quotes: schema = {_SCHEMA} (found {found!r})"
     newer = isinstance(found, int) and found > _SCHEMA

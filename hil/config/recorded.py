@@ -62,7 +62,7 @@ def _other_versions(packages: Mapping[str, Any]) -> str:
 
 
 def _without_absent(tree: dict[str, Any], model: type[BenchConfig]) -> dict[str, Any]:
-    """A configuration without the kinds of devices that the bench lacked and that nothing here knows.
+    """A configuration without the kinds of devices that the bench lacked and that are unknown here.
 
     Their package was installed then, and is not now: no reason to refuse the recording.
     """

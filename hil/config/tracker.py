@@ -42,7 +42,7 @@ class T265Config(TrackerConfig):
         reaccept_after: consistent poses after a jump before they are trusted again.
         mapping: whether the camera keeps a map of what it sees; the next three keys need one. Leave it off
             for a robot that follows a path: a pose that jumps is no motion.
-        relocalisation: whether it looks for its place in that map.
+        relocalisation: whether the camera searches for its position in that map.
         pose_jumping: whether its poses jump where the map corrects them.
         map_preservation: whether it keeps the map from one start to the next.
         wheel_odometry: whether it gets the velocity of the wheels, which makes it robust on wheels. Camera

@@ -32,7 +32,7 @@ TOP_WHEEL_RATE_RAD_S = 7.0
 class Strict(BaseModel):
     """Base of all tables: unknown keys rejected, values frozen, numbers finite and texts of one line.
 
-    No number is true, false or in quotes. Every number says its bounds (`Within`).
+    A number must not be true, false or in quotes. Every number has bounds (`Within`).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False)

@@ -63,7 +63,7 @@ def wait_for(asked: Sequence[Job], limit_s: float) -> list[dict[str, Any]]:
     """The states of jobs once all have ended, or when time is up.
 
     Args:
-        asked: to wait for.
+        asked: jobs to wait for.
         limit_s: longest wait.
     """
     until_s = time.monotonic() + limit_s

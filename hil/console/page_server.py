@@ -1,7 +1,7 @@
 """Serves the console's page: commands, running jobs, devices, history. It touches no device.
 
 Everything that moves is an ordinary command in a process of its own (`hil.console.jobs`). So this process may
-be killed, started again, or asked anything at any time.
+be killed or started again at any time, and may receive any request.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _KINDS = {
 }
 
 _PLACES = ("port", "channel", "server", "address", "serial")
-"""Keys of the bench file that say where a device is."""
+"""Keys of the bench file for the address of a device."""
 
 
 def policy(stop_port: int) -> str:

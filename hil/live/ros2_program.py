@@ -81,8 +81,8 @@ class TwistCommands(CommandLines):
     """Velocity commands of the only publisher of a topic.
 
     Args:
-        topic: messages of either type are taken.
-        watch: of its publishers.
+        topic: may carry messages of either velocity type.
+        watch: of the publishers of the topic.
     """
 
     def __init__(self, topic: CommandTopic, watch: PublisherWatch) -> None:

@@ -65,7 +65,7 @@ class SampleCount:
             self.bad[status.value] += 1
 
     def to_json(self) -> dict[str, object]:
-        """As plain data."""
+        """The counts as plain data."""
         return {"received": self.received, "missing": self.missing, "bad": dict(self.bad)}
 
 
@@ -85,7 +85,7 @@ class SampleCounter(Sink):
         """Do nothing: there is nothing to close."""
 
     def to_json(self) -> dict[str, dict[str, object]]:
-        """As plain data, by device."""
+        """The counts as plain data, by device."""
         return {name: count.to_json() for name, count in self.counts.items()}
 
 

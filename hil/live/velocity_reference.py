@@ -27,16 +27,16 @@ class VelocityReference:
     """Reference by seconds since the first cycle; to be called once per cycle.
 
     Args:
-        lines: where commands come from.
+        lines: source of the commands.
         start_pose: (3,) pose from which the reference moves.
         projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
-        limits: wheel speed and acceleration that no command exceeds, and where the reference may go.
+        limits: of wheel speed and acceleration, heading and usable surface.
         dead_man_s: a command older than this counts as `stop`, with the ramp of the acceleration limit.
         stops_after_s: bus watchdog of the servos: after a longer time without a cycle they stop the wheels,
             and the reference starts again from rest; 0 without a watchdog.
 
     Attributes:
-        accepted, refused: lines understood and not.
+        accepted, refused: numbers of valid and invalid lines.
         dead_man_stops: how often a moving robot was stopped because no command arrived.
     """
 

@@ -41,7 +41,7 @@ def main(targets: Sequence[str], pipe: BinaryIO) -> int:
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s")
     threading.Thread(target=_outlive_not, args=(os.getppid(),), daemon=True).start()
     os.nice(_NICE)
-    import rerun  # noqa: F401  # the slow part, before the parent goes on
+    import rerun  # noqa: F401  # the slow part, before the parent continues
 
     from hil.monitor.rerun_stream import RerunStream
 

@@ -40,7 +40,7 @@ _PALETTE: tuple[Colour, ...] = (
 )
 _BY_MEASUREMENT = {"wheels": 0, "gyro": 1, "tracker": 2, "gravity": 4, "mocap": 5}
 _BY_DEVICE = (0, 6, 1, 2, 5)
-"""Colours of measurements by name and of the first kinds of devices: what belongs together looks alike."""
+"""Colours of measurements by name and of the first kinds of devices: one colour for what belongs together."""
 
 
 class Sight(NamedTuple):

@@ -74,7 +74,7 @@ class RerunMonitor(Sink):
         target: `spawn`, `connect`, `serve`, a `rerun+http://` URL or a `.rrd` file, or several of
             them separated by commas.
         lossless: drop nothing, `write` waits instead (a recording is shown).
-        scene: robot and surface that are drawn; those of the paper when None.
+        scene: robot and surface to draw; those of the paper when None.
         capacity: cycles that may wait before the oldest is dropped or `write` waits.
         patience_s: how long the viewer may take for the rest when all is over and, where nothing is dropped,
             for some of what waits; 4 s, 60 s where nothing is dropped.

@@ -1,4 +1,4 @@
-"""Records a run: the loop hands a cycle over and goes on, a thread encodes, compresses and writes.
+"""Records a run: the loop hands a cycle over and continues, a thread encodes, compresses and writes.
 
 The thread is woken for several cycles at once: waking it takes as long as encoding one.
 A chunk is closed and flushed at least twice a second, so that a killed process loses at most the last

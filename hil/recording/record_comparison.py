@@ -19,7 +19,7 @@ _FLOATS = {float}
 def identical(a: Any, b: Any) -> bool:
     """Whether two values are surely the same bits; quick.
 
-    False also means "not of the same types": then only `first_difference` can tell.
+    False also means "not of the same types": then only `first_difference` decides.
     """
     if a is b:
         return True

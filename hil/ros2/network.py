@@ -69,13 +69,13 @@ class Network:
 def network_of(
     config: Ros2Config, environment: Mapping[str, str], *, domain: int | None = None, interface: str = ""
 ) -> Network:
-    """Where a bench can be found: as asked for, else as its file says, else as the environment does.
+    """Network of a bench: from the arguments, else from its file, else from the environment.
 
     Args:
         config: `[ros2]` of the bench file.
         environment: of the process.
-        domain: asked for; None for none.
-        interface: asked for; empty for none.
+        domain: that was asked for; None if none was.
+        interface: that was asked for; empty if none was.
 
     Raises:
         UsageError: the environment names no domain.

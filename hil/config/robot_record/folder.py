@@ -122,7 +122,7 @@ class RobotRecord:
         return (self.folder / FILES / str(part.values[key])).resolve()
 
     def history(self) -> History:
-        """Every version, and what lies beside them that is none."""
+        """Every version, and files beside them that are no usable version."""
         current = self.path.read_bytes() if self.exists() else None
         kept, damaged = [], []
         for path in sorted((self.folder / HISTORY).glob("*")):
@@ -153,7 +153,7 @@ class RobotRecord:
     ) -> tuple[str, ...]:
         """Put a new version in place: the parts, beside those there are.
 
-        What an older part was measured on top of may change with it: such a part is left out.
+        An older part that was measured on top of a part which changes now is left out.
 
         Args:
             parts: by name.

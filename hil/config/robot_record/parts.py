@@ -1,4 +1,4 @@
-"""One version of a robot's record as a model: its owner, its parts, and their consistency.
+"""One version of a robot's record as a model: its robot, its parts, and their consistency.
 
 A part is what one procedure found: values for keys of the bench file, and figures for people and other
 procedures. `made_with` remembers what it was measured on top of, so that parts which do not belong together
@@ -297,7 +297,7 @@ class RecordFile(_Model):
                     yield f"{name}: measured {part.measured} with other {below} {what}"
 
     def without_stale(self) -> tuple[RecordFile, tuple[str, ...]]:
-        """Without parts that contradict the others, and the names of these; the others count as right."""
+        """The record without parts that were measured on top of other versions, and their names."""
         parts, gone = dict(self.parts), list[str]()
         while True:
             file = self.model_copy(update={"parts": parts})
