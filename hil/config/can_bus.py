@@ -72,7 +72,7 @@ def quarrels(devices: Mapping[str, DeviceConfig]) -> Iterator[tuple[str, str]]:
     """Dotted path and text of every conflict of identifiers or bit rates between devices of one bus.
 
     Args:
-        devices: tables by kind. An emulated device is on no bus with a real one.
+        devices: tables by name on the bench. An emulated device shares no bus with a real one.
     """
     tables = [(name, table) for name, table in devices.items() if isinstance(table, CanConfig)]
     for name, table in tables:

@@ -252,7 +252,7 @@ class RerunStream:
         self._stream.log("wall/robot/speeds", arrows)
 
     def _send_observer_ellipses(self, record: CycleRecord) -> None:
-        """Send covariance ellipses of the observers; not of odometry, whose covariance knows no slip."""
+        """Send covariance ellipses of the observers; not of odometry, whose covariance ignores slip."""
         for name, state in record.observers.items():
             pose, covariance = state.pose_body_in_wall, state.covariance
             if name != "odometry" and finite(covariance[:2, :2]) and finite(pose):

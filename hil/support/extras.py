@@ -45,7 +45,7 @@ _WHAT = {
 
 
 def packages() -> tuple[str, ...]:
-    """Names of the packages that this one requires in this Python, also for those extras that users need.
+    """Names of the packages that this one requires in this Python, including its extras for users.
 
     Empty where the metadata of this package is not installed.
     """

@@ -30,7 +30,7 @@ _LOOPBACK = "127.0.0.1"
 
 
 def is_of_this_host(sender: tuple[Any, ...]) -> bool:
-    """Whether a sender, as `recvfrom` gives it, is this host: a route to its own address starts there."""
+    """Whether a sender, as `recvfrom` gives it, is this host: then a route to it starts there."""
     address = sender[0]
     if _is_loopback(address):
         return True

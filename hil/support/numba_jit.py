@@ -155,7 +155,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
         self._raised: BaseException | None = None
 
     def on_start(self, event: Any) -> None:
-        """Note the begin of a function's compilation, or act on Ctrl-C at a step of it."""
+        """Note that a compilation begins; at each step of it, act on Ctrl-C."""
         if event.kind == "numba:run_pass":
             try:
                 self._heed()

@@ -98,7 +98,7 @@ class ServoModel:
 
     @property
     def pack_v(self) -> tuple[float, float]:
-        """Permitted supply of a bench, V: within its voltage limits, and two thirds of the recommended."""
+        """Permitted supply, V: within its voltage limits, and at least two thirds of the recommended."""
         low, high = self.table["min_voltage_limit"], self.table["max_voltage_limit"]
         return max(low.default * low.scale, _LEAST_SHARE * self.recommended_v), high.default * high.scale
 
