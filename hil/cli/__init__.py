@@ -1,6 +1,6 @@
 """The `hil` command: finds the sub-command, runs it, turns our errors into one line and an exit code.
 
-Sub-commands live one to a module and are imported only when called, so that `hil --help` is quick.
+Each sub-command is a module, imported only when it is called, so that `hil --help` is quick.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ COMMANDS = {
 
 
 _COMPLETE = "_HIL_COMPLETE"
-"""Environment variable by which a shell asks for words: `bash_complete`, or `bash_source` for its script."""
+"""Environment variable of a completion request: `bash_complete` for words, `bash_source` for the script."""
 
 
 class LazyGroup(SuggestingGroup):
@@ -96,7 +96,7 @@ def _module(name: str) -> str:
     type=click.Choice(PROGRESS),
     default=PROGRESS[0],
     show_default=True,
-    help="Who reads stderr: a person, or a program, a JSON object per line.",
+    help="Reader of stderr: a person, or a program (one JSON object per line).",
 )
 @click.option("-v", "--verbose", count=True, help="More messages on stderr (twice: debug).")
 def cli(verbose: int, progress: str) -> None:
@@ -108,8 +108,8 @@ def cli(verbose: int, progress: str) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    With `--json` an error is printed on stdout too, as the one object that is promised there. An unexpected
-    exception is printed with its traceback.
+    With `--json` an error is also printed on stdout, as the only object there. An unexpected exception is
+    printed with its traceback.
 
     Returns:
         The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted, or a defect.
@@ -162,7 +162,7 @@ def script() -> None:
     try:
         asked_by_shell = os.environ.get(_COMPLETE)
         code = _complete(asked_by_shell) if asked_by_shell else main()
-    except Aborted:  # even the message about an error finds no reader
+    except Aborted:  # the error message cannot be written either
         code = EXIT_ABORTED
     deaf_from_now_on()
     sys.exit(code if output.finish() else EXIT_ABORTED)

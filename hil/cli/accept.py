@@ -1,4 +1,4 @@
-"""`hil accept`: a bench on its first day, from doctor to turning wheels, and the page that is signed."""
+"""`hil accept`: acceptance test of a bench, from doctor to turning wheels, with a page to sign."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ from hil.core.result_files import ACCEPTANCE_TABLE
 def command(
     request: BenchRequest, on_stand: bool, answers: Path | None, out: Path | None, as_json: bool
 ) -> int:
-    """Everything that supplier or lab sign on the first day, on one page.
+    """Acceptance test of a bench on its first day, on one page that supplier or lab sign.
 
-    Doctor, the contract of every device and the age of its samples without motion. Then, when all of it is
-    right and the operator has said that the robot is on a stand, the contract of the servos with turning
-    wheels,
-    and how late they turn. Ends with 0 if all passed, 3 if the doctor found a device that is wrong, 1 if a
-    promise was broken, 4 if wheels were not allowed to turn, something ended it, or no page could be written.
+    Without motion: doctor, the contract of every device and the age of its samples. If all of this passes and
+    the operator confirms that the robot is on a stand: the contract of the servos with turning wheels, and
+    their delay. Ends with 0 if all passed, 3 if the doctor found a faulty device, 1 if a contract was
+    violated, 4 if wheels were not allowed to turn, something ended it, or no page could be written.
 
     Example: hil accept --bench my.toml
     """

@@ -30,9 +30,9 @@ _TETHERED = click.option(
 def command() -> None:
     """The fan that presses the robot on its wall, and the daemon that keeps it running.
 
-    The fan goes on when a program ends, however it ends: a process of its own, the fan daemon, goes on
-    commanding it. Only `hil adhesion off` lets it come to rest. Neither `off` nor less force from `on` is
-    possible while the robot may hang by the fan, unless --tethered says that you have looked.
+    The fan keeps running when a program ends, however it ends: a separate process, the fan daemon, keeps
+    commanding it. Only `hil adhesion off` stops it. While the robot may hang by the fan, `off` and a lower
+    force from `on` are refused, unless --tethered confirms that you have looked.
     """
 
 
@@ -42,7 +42,7 @@ def command() -> None:
     "--force",
     "force_n",
     type=FiniteRange(0.0, 500.0, min_open=True),
-    help="N [default: what the bench file wants on its wall].",
+    help="N [default: the bench file's force on its wall].",
 )
 @click.option("--duty", type=FiniteRange(0.0, 1.0, min_open=True), help="Share of the voltage, not a force.")
 @click.option(
@@ -58,10 +58,11 @@ def command() -> None:
 def switch_on(
     bench: str, force_n: float | None, duty: float | None, wait_s: float, tethered: bool, as_json: bool
 ) -> int:
-    """Start the fan, or give a running one another set-point, along a ramp; it stays on.
+    """Start the fan, or change the set-point of a running one, along a ramp; it stays on.
 
-    Less than now, or than holds this robot on this surface, is refused unless --tethered is given, or IMU and
-    load cells both say that the robot does not hang by it. So is a fan that a running bench commands.
+    A force below the present one, or too small to hold this robot on this surface, is refused unless
+    --tethered is given, or IMU and load cells both show that the robot does not hang by the fan. A fan that a
+    running bench commands is refused, too.
 
     Example: hil adhesion on --bench my.toml
     """
@@ -87,9 +88,9 @@ def switch_on(
 @_TETHERED
 @JSON
 def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
-    """Let the fan, and propellers that have a daemon, come to rest along a ramp.
+    """Stop the fan, and propellers that have a daemon, along a ramp.
 
-    Refused unless --tethered is given, or IMU and load cells both say that the robot does not hang by it.
+    Refused unless --tethered is given, or IMU and load cells both show that the robot does not hang by it.
 
     Example: hil adhesion off --bench my.toml --tethered
     """
@@ -126,14 +127,14 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How fan and propellers run, and their daemons; ends with 3 where one has none, or it does not answer.
+    """Show fan, propellers and their daemons; ends with 3 if a daemon is missing or does not answer.
 
     Example: hil adhesion status --bench my.toml
     """
     from hil.bench import fan_commands
 
     specs = fan_commands.daemon_specs(_config(bench))
-    found = {kind: _asked(spec) for kind, spec in specs.items()}
+    found = {kind: _status(spec) for kind, spec in specs.items()}
     if as_json:
         click.echo(json.dumps(_as_json(specs, found)))
     else:
@@ -142,8 +143,8 @@ def show_status(bench: str, as_json: bool) -> int:
     return _exit_code(found)
 
 
-def _asked(spec: Spec) -> Status | DeviceError | None:
-    """Status of a daemon, or why it refuses; None where there is none."""
+def _status(spec: Spec) -> Status | DeviceError | None:
+    """Status of a daemon, its error if it rejects the request, None without a daemon."""
     from hil.bench import fan_commands
 
     try:
@@ -153,7 +154,7 @@ def _asked(spec: Spec) -> Status | DeviceError | None:
 
 
 def _exit_code(found: Mapping[str, Status | DeviceError | None]) -> int:
-    """0 where everything that holds the robot has a daemon that answers; else 3, with why on stderr."""
+    """0 if a daemon answers for each device that holds the robot; else 3, with the reason on stderr."""
     code = EXIT_PASS
     for kind, status in found.items():
         if status is None or isinstance(status, DeviceError):
@@ -173,11 +174,11 @@ def _as_json(
 
 
 def _how(spec: Spec, status: Status | DeviceError | None) -> str:
-    """How the fan or propellers of `spec` run, in words."""
+    """State of the fan or propellers of `spec` in words."""
     from hil.bench import fan_commands
 
     if isinstance(status, DeviceError):
-        return "its daemon refuses to say how it runs"
+        return "its daemon refuses to report its state"
     return "no daemon" if status is None else fan_commands.described(status, spec)
 
 
@@ -216,7 +217,7 @@ def _show(spec: Spec, status: Status | DeviceError | None) -> None:
     help="Seconds [default: until interrupted].",
 )
 def watch(bench: str, every_s: float, duration_s: float | None) -> int:
-    """A line about fan and propellers, again and again. They do not mind when this ends.
+    """Print a line about fan and propellers at a fixed interval. Ending this does not affect them.
 
     Example: hil adhesion watch --bench my.toml
     """
@@ -225,7 +226,7 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
     specs = fan_commands.daemon_specs(_config(bench))
     end_s = None if duration_s is None else time.monotonic() + duration_s
     while True:
-        found = {kind: _asked(spec) for kind, spec in specs.items()}
+        found = {kind: _status(spec) for kind, spec in specs.items()}
         for kind, status in found.items():
             which = f"{kind}: " if len(specs) > 1 else ""
             click.echo(f"{time.strftime('%H:%M:%S')} {which}{_how(specs[kind], status)}")
@@ -240,7 +241,7 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
 def keep(bench: str, propellers: bool) -> int:
     """Run the fan daemon in the foreground: for a service of the robot's computer.
 
-    Takes over a fan that runs, else waits until it is asked for. Heeds no signal that can be caught.
+    Takes over a running fan, else waits for a request. Ignores every signal that can be caught.
 
     Example: hil adhesion keep --bench my.toml
     """

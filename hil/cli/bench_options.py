@@ -1,4 +1,4 @@
-"""Options that say which bench a command is for: each stated once, all given as one `BenchRequest`."""
+"""Options that select and configure the bench of a command; it receives them as one `BenchRequest`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hil.procedure.bench_request import BenchSource
 
 _stated = partial(partial, click.option)
-"""An option that waits for what a command says otherwise."""
+"""An option to which a command can still add its own help or default."""
 
 _OPTIONS = {
     "bench": _stated(
@@ -72,7 +72,7 @@ _OPTIONS = {
         "--ros2-wait",
         type=FiniteRange(0.0, 0.8),
         metavar="SHARE",
-        help="Share of a cycle in real time for which a controller on ROS 2 is waited for "
+        help="Share of a cycle to wait for a controller on ROS 2, in real time "
         "[default: ros2.wait_share, 0.3].",
     ),
     "ros2_interface": _stated(
@@ -85,7 +85,7 @@ _OPTIONS = {
 
 @dataclass(frozen=True)
 class BenchRequest:
-    """What a command line says of the bench; an option that a command does not have is as here.
+    """The bench options of a command line; an option that the command lacks has its default here.
 
     Attributes:
         bench: file or profile; empty where none was named and the command has no default.
@@ -124,11 +124,11 @@ class BenchRequest:
         return topic or "/" if kind == "ros2" else ""
 
     def source(self, overrides: Mapping[str, object], *, otherwise: str = "") -> BenchSource:
-        """The bench to open, which a program that reads the progress watches.
+        """The bench to open, with the sinks for a program that reads the progress.
 
         Args:
-            overrides: keys of the bench file to values; `--start` comes on top of them.
-            otherwise: bench to open where none was named.
+            overrides: keys of the bench file to values; `--start` overrides them.
+            otherwise: bench to open if none was named.
 
         Raises:
             UsageError: `--start` is no pose, or `--controller` is unknown.
@@ -157,13 +157,13 @@ class BenchRequest:
 
 
 def bench_options(*names: str, **otherwise: Mapping[str, Any]) -> Callable[[Callable[..., int]], Any]:
-    """Give a command options of the bench, in this order; it is called with one `request` for all of them.
+    """Decorate a command with bench options, in this order; it receives all of them as one `request`.
 
-    It may stand several times on a command, between whose own options the others are to be shown.
+    Apply it several times to place bench options between a command's own options in its help.
 
     Args:
         names: fields of `BenchRequest`.
-        otherwise: by name, what this command says otherwise than all others: its help or default.
+        otherwise: by name, help or default of an option that differ for this command.
     """
 
     def decorate(function: Callable[..., int]) -> Any:

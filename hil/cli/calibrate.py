@@ -115,7 +115,7 @@ def command(
 
 
 def _check_outputs(out: Path | None, plots: Path | None) -> None:
-    """Refuse what cannot be written before the work, not after it."""
+    """Refuse output paths that cannot be written, before the work begins."""
     from hil.calibration.calibration_file import next_version
     from hil.support.atomic_files import check_file, check_folder
 

@@ -1,4 +1,4 @@
-"""`hil calibration`: the versions of a calibration.toml, which one is in place, and back again."""
+"""`hil calibration`: lists the versions of a calibration.toml, puts one in place, rolls back."""
 
 from __future__ import annotations
 

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from hil.procedure.run_outputs import Keep
 
 _SHOWN = 5
-"""So many broken runs are named on the terminal."""
+"""Most broken runs that are named on the terminal."""
 _LONGEST = 400
-"""Characters of an error that are shown there."""
+"""Longest error text there, in characters."""
 _VERDICTS = {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL"}
 
 
@@ -179,7 +179,7 @@ def command(
 
 
 def _absolute(given: str | Path) -> str:
-    """A file by its absolute path, whatever directory a worker has; anything else as it is.
+    """Absolute path of a file, because a worker may have another directory; other texts unchanged.
 
     A procedure chosen from several in a file (`mine.py:name`) keeps its name.
     """
@@ -205,9 +205,9 @@ def _run(
     scheduler: str,
     publish: Callable[[Mapping[str, Any]], Sink] | None,
 ) -> None:
-    """Run what is not finished; `rows` receives all that is, as it comes.
+    """Run the unfinished cases; `rows` receives every finished row at once.
 
-    What is published runs here, one case after the other: one program drives one robot.
+    With `publish` the cases run in this process, one after the other: one program drives one robot.
     """
     from hil.procedure.campaign import spread, write_rows
     from hil.procedure.campaign.input_files import files_of
@@ -255,7 +255,7 @@ def _run(
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """0 all good, 1 a limit failed or a fault never acted, else that of the first run in error or lost."""
+    """0 all good, 1 a limit failed or a fault never acted, else the code of the first broken or lost run."""
     broken = next(
         (row.exit_code for row in rows if row.exit_code not in (EXIT_PASS, EXIT_LIMIT_FAILED)), None
     )
@@ -296,7 +296,7 @@ def _write(
 
 
 def _line(error: str) -> str:
-    """An error in one line of the terminal; the table and the page have all of it."""
+    """An error shortened to one line of the terminal; table and page hold the full text."""
     whole = " ".join(error.split())
     return whole if len(whole) <= _LONGEST else f"{whole[:_LONGEST]} ..."
 
@@ -328,7 +328,7 @@ def _text(tree: dict[str, Any]) -> str:
 
 
 def _share(group: dict[str, Any]) -> str:
-    """How many runs of a combination were good, of those that tested what they were to."""
+    """Share of good runs of a combination in words, among the runs that tested what they should."""
     from hil.procedure.campaign.table import not_tested
 
     said, tested = f"{group['n']} runs", group["tested"]

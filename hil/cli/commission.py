@@ -42,7 +42,7 @@ DEFAULT = "emulated_delivered"
 def command(
     request: BenchRequest, quick: bool, out: Path | None, resume: bool, answers: Path | None, as_json: bool
 ) -> int:
-    """All procedures in order, each using what the others found, up to lines on the wall.
+    """Run all procedures in order, each with the results of those before it, up to lines on the wall.
 
     Example: hil commission --quick
     """

@@ -1,6 +1,6 @@
-"""Answers a shell that completes a line: the request itself; the words are `hil.cli.completion_types`.
+"""Answers completion requests of a shell; `hil.cli.completion_types` finds the words.
 
-A line that is being typed is no place for messages. What goes wrong while words are looked for offers none.
+Messages would disturb the line that is being typed: an error during the search yields no words.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ _BREAKS = (":", "=")
 
 
 def answer(cli: click.Command, variable: str, asked: str) -> int:
-    """Print what a shell asks for: its completion script, or words.
+    """Print the completion script or the words that a shell requests.
 
     Args:
         cli: the command whose line is being typed.
-        variable: of the environment, by which the script asks.
-        asked: its value, such as `bash_source` or `bash_complete`.
+        variable: name of the environment variable that holds the request.
+        asked: the request, such as `bash_source` or `bash_complete`.
 
     Returns:
         The exit code.
@@ -52,12 +52,12 @@ def answer(cli: click.Command, variable: str, asked: str) -> int:
 
 
 class _Bash(BashComplete):
-    """Bash takes `imu:stuck` and `--bench=lab` for several words, and replaces the last of them only."""
+    """Completion for bash, which splits `imu:stuck` and `--bench=lab` and replaces only the last part."""
 
     _begun = ""
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """As click's, with the words put together again."""
+        """Like click's, with the parts of a split word joined again."""
         args, incomplete = super().get_completion_args()
         words: list[str] = []
         for word in (*args, incomplete):
@@ -70,7 +70,7 @@ class _Bash(BashComplete):
         return args, incomplete
 
     def format_completion(self, item: CompletionItem[str]) -> str:
-        """As click's, without what stands before the last of bash's words."""
+        """Like click's, without the parts that bash does not replace."""
         return f"{item.type},{item.value.removeprefix(self._begun)}"
 
 

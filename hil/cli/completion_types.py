@@ -1,6 +1,6 @@
-"""Types of arguments and options whose words a shell completes: benches, faults, procedures, results.
+"""Click types with shell completion: benches, faults, procedures, results.
 
-As values they are texts like any other; what is wrong with one is said where it is used.
+Their values are plain texts; each is checked where it is used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hil.cli.options import FileName
 from hil.core.choices import LAWS
 
 Known = Mapping[str, str]
-"""Words that there are, with what they mean; empty where that need not be said."""
+"""Possible words with their descriptions; a description may be empty."""
 Find = Callable[[click.Context, str], Known]
 _OUT = Path("out")
 _DEFAULT_BENCH = "emulated"
@@ -29,11 +29,11 @@ def _items(found: Known, incomplete: str) -> list[CompletionItem[str]]:
 
 
 class Words(click.types.StringParamType):
-    """A text; a shell is offered what `find` finds, and files where there may be one.
+    """Text type that completes to the words that `find` returns, and to files if `files` is set.
 
     Args:
-        find: from the context and what has been typed of the word, the words that there are.
-        files: whether it may be the name of a file, too.
+        find: returns the possible words, given the context and the incomplete word.
+        files: whether the value may also be the name of a file.
     """
 
     def __init__(self, find: Find, *, files: bool = False) -> None:
@@ -48,7 +48,7 @@ class Words(click.types.StringParamType):
 
 
 class _ResultsFolder(FileName):
-    """A folder of results; a shell is offered those of earlier runs, by the name of the whole path."""
+    """Type of a results folder; completes to the paths of earlier runs."""
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
@@ -61,8 +61,8 @@ class _ResultsFolder(FileName):
 def _given(ctx: click.Context, name: str) -> Any:
     """The value of a parameter on this line; None where it has none.
 
-    click reads nothing of a line that ends in an option without its value, so this reads it once more without
-    that. `ctx.obj` holds the words before the one that is being typed.
+    click parses nothing of a line that ends in an option without its value, so this parses the line again
+    without that option. `ctx.obj` holds the words before the incomplete one.
     """
     words = list(ctx.obj or ())
     words = words[words.index(ctx.info_name) + 1 :] if ctx.info_name in words else []
@@ -72,7 +72,7 @@ def _given(ctx: click.Context, name: str) -> Any:
 
 
 def _with_files(found: Known, ending: str, incomplete: str) -> Known:
-    """Also the files of that kind in the folder that has been typed."""
+    """Add the files with this ending in the folder that has been typed."""
     folder = Path(incomplete).parent if "/" in incomplete else Path()
     return {**found, **{str(path): "" for path in sorted(folder.glob(f"*{ending}"))}}
 
@@ -100,7 +100,7 @@ def _devices(ctx: click.Context, incomplete: str) -> Known:
 
 
 def _faults(ctx: click.Context, incomplete: str) -> Known:
-    """Devices first; once one is typed, or only one can be meant, its faults."""
+    """Complete the device first; once it is typed or unique, its faults."""
     from hil.bench.emulation import supported_faults
     from hil.config.loading import load_bench
 

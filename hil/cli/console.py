@@ -28,15 +28,15 @@ _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
     "--bench", type=BENCH, help="Bench file or profile that the page offers [default: each command's own]."
 )
 @click.option("--in", "where", type=FILE, default=Path("out"), show_default=True, help="Folder of results.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page [default: a free one].")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Page's port [default: a free one].")
 @click.option("--stop", "stopping", is_flag=True, help="Stop what the console of this folder runs.")
 @JSON
 def command(bench: str | None, where: Path, port: int, stopping: bool, as_json: bool) -> int:
     """The bench in a browser of this computer: devices, procedures, live figures, STOP, history.
 
-    Prints an address with a token. It is needed to get in, and only this computer can. Ctrl-C ends the
-    console; what it has started goes on, and `hil console --stop` stops it. STOP is no emergency stop: keep
-    the switch that cuts the power.
+    Prints an address with a token. The page opens only with this token, and only on this computer. Ctrl-C
+    ends the console; jobs that it started keep running, and `hil console --stop` stops them. STOP is no
+    emergency stop: keep the switch that cuts the power.
 
     Example: hil console --bench my.toml
     """
@@ -78,7 +78,7 @@ def _stop(folder: Path, *, as_json: bool) -> int:
 
 
 def _alarm(left: Sequence[Mapping[str, str]]) -> list[str]:
-    """Lines about robots that were left NOT HELD, and how such a line goes away."""
+    """Messages about robots that were left NOT HELD, and how to clear the alarm."""
     rest = "once it is secured, say so on the page of hil console, or end a run on that bench HELD"
     return [*(robot["words"] for robot in left), *([rest] if left else [])]
 
@@ -123,14 +123,14 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
 
 
 def _address(stopper: Mapping[str, Any]) -> str:
-    """What a browser opens: the page with the button."""
+    """Address of the page with the STOP button."""
     from hil.console.web_server import HOST
 
     return f"http://{HOST}:{stopper['port']}/?token={stopper['token']}"
 
 
 def _way_in(folder: Path) -> str:
-    """How to get into the console of a folder that is running already."""
+    """How to open the console that already runs in a folder, in words."""
     from hil.console.json_files import is_private, read
     from hil.console.stop_server import PAGE, STOP, runs
 
@@ -158,7 +158,7 @@ def _benches() -> tuple[str, ...]:
 
 
 def _open(server: Server, folder: Path) -> None:
-    """Serve from now on, and say so to the process with the button."""
+    """Start serving in a thread, and write PID and port for the process with the STOP button."""
     import os
     import threading
 
@@ -171,12 +171,12 @@ def _open(server: Server, folder: Path) -> None:
 
 
 def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> dict[str, Any]:
-    """The process with the button: the one that is there from an earlier console, else a new one.
+    """The process with the STOP button: one left running by an earlier console, else a new one.
 
     Args:
         folder: of the console.
         port: of this computer; 0 for any.
-        known: token and cookie of one that died; browsers have them already.
+        known: token and cookie of one that died: open browser pages already have them.
 
     Raises:
         UsageError: the port is taken.

@@ -107,7 +107,7 @@ def _procedure(proc: Procedure, run: click.Command, root: Path) -> Action:
 
 
 def _script(run: click.Command, root: Path) -> Action:
-    """A procedure of the user's own."""
+    """Form that runs a procedure of the user's own."""
 
     def words(values: Values) -> tuple[str, ...]:
         given = [part for text in values.get(_SET, "").split() for part in (_SET, text)]
@@ -143,7 +143,7 @@ def _script(run: click.Command, root: Path) -> Action:
 
 
 def _where(command: str, name: str, root: Path) -> Sequence[str]:
-    """Where the results of a run go, and that the console answers its questions."""
+    """Options for the output of a run, and for questions that the console answers on stdin."""
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
     if command == "live":
         return "--record", str(root / "live" / f"{stamp}.mcap")
@@ -178,7 +178,7 @@ def _field(option: click.Option, *, more: bool) -> Field:
 
 
 def _on_a_page(text: str) -> str:
-    """The help of an option, without its default, which the field shows, and without words of a terminal."""
+    """Help of an option without its default, which the field shows, and without parts that name options."""
     parts = [part for part in text.split(" [default")[0].split("; ") if "--" not in part]
     return "; ".join(parts).rstrip(".") + "." * bool(parts)
 
@@ -214,7 +214,7 @@ def _title(name: str) -> str:
 
 
 def _options(command: click.Command, values: Values) -> list[str]:
-    """What was filled in as words of the command line; several of one option are separated by spaces."""
+    """Command-line words of filled-in values; several values of one option are separated by spaces."""
     words = []
     for option in command.params:
         if not isinstance(option, click.Option) or option.opts[-1] not in values:
@@ -230,7 +230,7 @@ def _options(command: click.Command, values: Values) -> list[str]:
 
 
 def _problems_of_options(command: click.Command, name: str, words: Iterable[str]) -> dict[str, str]:
-    """What click says of them before the command begins; nothing is opened."""
+    """Errors that click finds in the words, by field; the command does not run, no device is opened."""
     try:
         command.make_context(name, list(words))
     except click.UsageError as error:
@@ -243,7 +243,7 @@ def _problems_of_options(command: click.Command, name: str, words: Iterable[str]
 
 
 def _problems_of_bench(values: Values) -> dict[str, str]:
-    """What is wrong with a bench file that was named, and with the devices of it that are to be emulated."""
+    """Errors in the named bench file and in the list of its devices to emulate, by field."""
     if _BENCH not in values:
         return {}
     try:

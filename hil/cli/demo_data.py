@@ -58,7 +58,7 @@ def command(
 ) -> int:
     """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json).
 
-    By formulas, a quarter of the recordings hold three slips of a second each, by millimetres.
+    From formulas, a quarter of the recordings hold three slips of millimetres, a second each.
 
     FOLDER must hold no other recordings. The same command may be repeated there, except with --plant.
 
@@ -100,7 +100,7 @@ def command(
 
 
 def _held(folder: Path) -> set[str]:
-    """Names in a folder that new recordings would replace, or be taken for one data set with."""
+    """Names of files that new recordings would replace, or form one data set with."""
     if not folder.exists():
         return set()
     return {p.name for p in folder.iterdir() if p.name == _TRUTH or p.name.endswith(_RECORDINGS)}
@@ -111,7 +111,7 @@ def _same(old: Path, new: Path) -> bool:
 
 
 def _refuse(folder: Path, names: list[str]) -> None:
-    """Raise `DataError` for a folder that holds such files; a folder with none is fine."""
+    """Raise `DataError` for a folder that holds files of these names; nothing without names."""
     from hil.core.errors import DataError
 
     if names:
@@ -124,34 +124,34 @@ def _refuse(folder: Path, names: list[str]) -> None:
         )
 
 
-def _motions(world: str, asked: str | None) -> tuple[str, ...]:
-    """The motions wanted; raises `UsageError` that names one that there is not."""
+def _motions(world: str, given: str | None) -> tuple[str, ...]:
+    """The selected motions; raises `UsageError` for an unknown name."""
     from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS
     from hil.core.errors import UsageError, did_you_mean
     from hil.procedure.odometry_motions import OTHER_MOTIONS as DRIVEN
 
-    if asked is None:
+    if given is None:
         return MOTIONS
     known = (*MOTIONS, *(OTHER_MOTIONS if world == "formulas" else DRIVEN))
-    for name in asked.split(","):
+    for name in given.split(","):
         if name not in known:
             raise UsageError(
                 f"--motions: {name!r} is unknown", expected=", ".join(known), remedy=did_you_mean(name, known)
             )
-    return tuple(dict.fromkeys(asked.split(",")))
+    return tuple(dict.fromkeys(given.split(",")))
 
 
-def _contact(world: str, asked: str | None) -> str | None:
-    """How wheels touch; raises `UsageError` where that is not of this physics."""
+def _contact(world: str, given: str | None) -> str | None:
+    """Contact law of the wheels; raises `UsageError` if this physics does not have it."""
     from hil.core.errors import UsageError
 
     known = _CONTACTS[world]
-    if asked is not None and asked not in known:
+    if given is not None and given not in known:
         raise UsageError(
-            f"--contact {asked}: not of {'the formulas' if world == 'formulas' else f'--plant {world}'}",
+            f"--contact {given}: not of {'the formulas' if world == 'formulas' else f'--plant {world}'}",
             expected=" or ".join(known) or "no --contact: the own plant has one law",
         )
-    return asked or (known[0] if known else None)
+    return given or (known[0] if known else None)
 
 
 def _from_formulas(
@@ -163,7 +163,7 @@ def _from_formulas(
     corrupt: str | None,
     bench: str | None,
 ) -> dict[str, Any]:
-    """Write recordings of a robot that obeys a formula; returns its truth."""
+    """Write recordings computed from formulas; returns the true parameters."""
     from hil.calibration.synthetic import hidden_robot, make_set
     from hil.datasets.plain_csv import write_plain
 
@@ -188,7 +188,7 @@ def _from_a_bench(
     faults: tuple[str, ...],
     bench: str,
 ) -> dict[str, Any]:
-    """Let an emulated bench drive the motions, each repetition in a world of its own; returns its truth."""
+    """Drive the motions on an emulated bench, each repetition in a new world; returns the true parameters."""
     from hil.bench import hidden_truth, open_bench
     from hil.config.loading import load_bench
     from hil.procedure.odometry_motions import Repetition, Sizes, drive_repetition, unused

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.option("--port", "ports", multiple=True, help="Serial port or pyserial URL (repeatable).")
 @click.option(
-    "--can", "buses", multiple=True, metavar="INTERFACE:CHANNEL[:PORT]", help="CAN bus to ask (repeatable)."
+    "--can", "buses", multiple=True, metavar="INTERFACE:CHANNEL[:PORT]", help="CAN bus to probe (repeatable)."
 )
 @click.option("--mocap", metavar="ADDRESS[:PORT]", help="Motion-capture server, and its command port.")
 @click.option(
@@ -55,13 +55,13 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> int:
-    """Ask everything that could be a device.
+    """Probe every place where a device could be.
 
-    What is at a serial port is not known before it is asked, and a controller of propellers may slow down at
-    what it does not understand. So this says what it will write where, and asks whether the robot stands.
-    Ports that another program has open, or that belong to what holds a robot, are left alone.
+    What is at a serial port is unknown before it is probed, and a propeller controller may slow down on bytes
+    that it does not understand. So this prints what it will write to which port, and asks whether the robot
+    stands. Ports that another program has open, or that belong to what holds a robot, are left alone.
 
-    Ends with 3 when nothing answers, at all or at a --port that was named; with 4 when the robot may hang.
+    Ends with 3 if no device answers, or none at a given --port; with 4 if the robot may hang.
 
     Example: hil discover --out my.toml
     """
@@ -109,7 +109,7 @@ def _say(text: str) -> None:
 
 
 def _must_stand(ports: list[str], on_stand: bool) -> None:
-    """Say what will be written where; raise `Aborted` unless the operator says that the robot stands."""
+    """Print what will be written where; raise `Aborted` unless the operator says that the robot stands."""
     from hil.bench.doctor.discovery import what_is_written
     from hil.bench.doctor.protected_ports import what_is_kept
     from hil.core.errors import Aborted
@@ -147,7 +147,7 @@ def _as_json(found: Discovery) -> dict[str, Any]:
 
 
 def _given(mocap: str | None, buses: tuple[str, ...], places: tuple[str, ...]) -> dict[str, list[Any]]:
-    """By kind, a table for each place that the options name."""
+    """Tables of the places that the options name, by kind."""
     given: dict[str, list[Any]] = {"mocap": [_server(mocap)] if mocap else []}
     for text in buses:
         for kind, table in _on_bus(text):
@@ -193,7 +193,7 @@ def _server(text: str) -> MocapConfig:
 
 
 def _tables(places: tuple[str, ...]) -> dict[str, Any]:
-    """By kind, the table that these keys and values make; other keys are as the model has them."""
+    """Tables made of these keys and values, by kind; other keys keep the model's defaults."""
     from pydantic import ValidationError
 
     from hil.core.errors import UsageError
@@ -233,7 +233,7 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _typed(tree: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """A table of texts with numbers and truth values where its keys are no texts."""
+    """A table of texts, converted to numbers and booleans where the keys need them."""
     return {
         key: _scalar(value)
         if isinstance(value, str) and key in known and known[key].annotation is not str

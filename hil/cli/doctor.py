@@ -1,4 +1,4 @@
-"""`hil doctor`: what answers on a bench, how well, and what to do about what does not."""
+"""`hil doctor`: checks every device of a bench, and says how to repair what fails."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.core.errors import EXIT_DEVICE, EXIT_PASS
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
 
 _LEAST_WATCH_S = 0.1
-"""Within less a slow device says nothing, which is not its fault."""
+"""Shortest watch time: within less, a slow device may send nothing although it works."""
 
 
 @click.command()

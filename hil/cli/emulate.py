@@ -35,12 +35,12 @@ _PATIENCE_S = 60.0
 
 
 class PortLinks:
-    """Links from the names in a bench file to the terminals, whose own names change with every start.
+    """Links from the port names in a bench file to the PTYs, whose own names change with every start.
 
     Args:
         config: the bench.
         endpoints: of its emulated devices, by the name they are shown as.
-        of_hardware: whether names below `/dev` are linked as well, which is the place of real ports.
+        of_hardware: whether to link names below `/dev`, the place of real ports, as well.
     """
 
     def __init__(
@@ -58,9 +58,9 @@ class PortLinks:
                 self._wanted[name] = (Path(port), served)
 
     def make(self) -> list[str]:
-        """Make them; returns one line for each that cannot be.
+        """Make the links; returns one line for each that cannot be made.
 
-        What is there already is left alone, but for a link whose terminal has gone: its emulator was killed.
+        An existing file is left alone, except a link to a PTY that is gone because its emulator was killed.
         """
         return [
             f"{name}: {path} {why}; served at {served}"
@@ -135,7 +135,7 @@ def command(
 
     With --out the line also appears, whole, as a file once every device answers; what an earlier run left
     there is removed at the start, and the file is removed again when the emulator ends in order. In a script
-    `hil emulate --wait FILE` stands between an emulator in the background and its first client.
+    put `hil emulate --wait FILE` between an emulator in the background and its first client.
 
     A robot on a wall is held by hand until a client enables torque, and slides without it from then on: the
     first line on stderr says so, the last one whether it is held, and how far it is from where it began.
@@ -201,12 +201,12 @@ def command(
 def _ended_by_signals(
     stop: Callable[[], None], *, only_by_sigterm: bool
 ) -> contextlib.AbstractContextManager[None]:
-    """While it lasts a signal ends the server in order.
+    """Context in which a signal ends the server in an orderly way.
 
     Args:
         stop: ends the server.
-        only_by_sigterm: whether SIGINT and SIGHUP end nothing: a terminal sends them to the bench that
-            started this, too, which has a robot to hold first.
+        only_by_sigterm: whether to ignore SIGINT and SIGHUP: a terminal also sends them to the bench that
+            started this process and that has to hold its robot first.
     """
 
     def leave(number: int, frame: FrameType | None) -> None:
@@ -230,7 +230,7 @@ def _hold_reported(robot: EmulatedSupport) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _linked(links: PortLinks) -> Iterator[None]:
-    """Ports that the bench file names lead to the terminals; one that cannot is named on stderr."""
+    """Context in which ports of the bench file link to PTYs; a link that fails is reported on stderr."""
     for reported in links.make():
         click.echo(reported, err=True)
     try:
@@ -240,7 +240,7 @@ def _linked(links: PortLinks) -> Iterator[None]:
 
 
 def _answer(line: str) -> None:
-    """The line on stdout, at once; an error that comes later adds no JSON object of its own."""
+    """Print the line on stdout and flush; a later error adds no JSON object."""
     click.echo(line)
     sys.stdout.flush()
     if (answered := click.get_current_context().find_object(Answered)) is not None:
@@ -249,7 +249,7 @@ def _answer(line: str) -> None:
 
 @contextlib.contextmanager
 def _as_prompt_as_hardware(fifo_priority: int | None) -> Iterator[None]:
-    """Hardware does not wait for a busy host: go first where that is allowed, and keep collections short."""
+    """Context with high priority, where allowed, and short garbage collections, for prompt answers."""
     sleep_punctually()
     with contextlib.suppress(OSError):
         os.nice(_NICE)

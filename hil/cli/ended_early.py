@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while many runs are made: those that are finished are kept and shown."""
+"""Ctrl-C and SIGTERM during a series of runs: finished runs are kept and shown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.core.errors import Aborted, DataError
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM came: raised like Ctrl-C, so that a run that collects errors does not take it for one."""
+    """Raised on SIGTERM. A `KeyboardInterrupt`, so that code that collects errors does not collect it."""
 
 
 @contextmanager

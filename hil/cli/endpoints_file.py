@@ -1,4 +1,4 @@
-"""The file of `hil emulate --out`: there while every endpoint answers, gone before and after."""
+"""The file of `hil emulate --out`: it exists only while every endpoint answers."""
 
 from __future__ import annotations
 
@@ -18,16 +18,14 @@ _LOOK_S = 0.05
 
 
 class EndpointsFile:
-    """A file that clients wait for: what an earlier run left is removed at once.
+    """A file that clients wait for; one that an earlier run left is removed at once.
 
-    While its emulator lives it is locked (`flock`), so that one that was left behind can be distinguished
-    from it.
+    It is locked (`flock`) while its emulator runs, so that a file that was left behind can be recognised.
 
     Args:
-        path: where it shall appear; only an endpoints file that was left behind, or an empty one, may be
-            there already.
+        path: of the file; only an endpoints file that was left behind, or an empty one, may be there already.
 
-    As a context manager it is removed at the end of the block.
+    As a context manager it removes the file at the end of the block.
 
     Raises:
         UsageError: the path holds something else, or the endpoints of an emulator that runs, or cannot be
@@ -66,11 +64,11 @@ class EndpointsFile:
         return self._path.with_name(f".{self._path.name}.{os.getpid()}")
 
     def write(self, text: str) -> None:
-        """Let it appear, whole.
+        """Create the file atomically with this text.
 
         Raises:
             DataError: it cannot be written.
-        UsageError: another emulator has put its own there meanwhile.
+            UsageError: another emulator has put its own there meanwhile.
         """
         self._refuse_a_living_one()
         partial = self._partial()
@@ -96,7 +94,7 @@ class EndpointsFile:
         self.remove()
 
     def remove(self) -> None:
-        """Take it away, unless another emulator has put its own there. Idempotent; never raises."""
+        """Remove the file, unless another emulator has put its own there. Idempotent; never raises."""
         with contextlib.suppress(OSError, UnicodeDecodeError):
             if self._text and self._path.read_text(encoding="utf-8") == self._text:
                 self._path.unlink()
@@ -106,7 +104,7 @@ class EndpointsFile:
 
 
 def await_endpoints(path: Path, patience_s: float) -> str:
-    """What is in an endpoints file as soon as an emulator that lives has put it there.
+    """Wait until a running emulator has written an endpoints file; returns its content.
 
     Args:
         path: of the file, as given to `--out`.
@@ -150,7 +148,7 @@ def _of_a_living_emulator(path: Path) -> str | None:
 
 
 def _left_behind(path: Path) -> bool:
-    """Whether a file is what an emulator leaves when it is killed, or empty."""
+    """Whether a file is empty or was left by a killed emulator."""
     try:
         text = read_text(path, _MOST_BYTES) if path.is_file() else "?"
         found = json_value(text) if text.strip() else {}

@@ -59,9 +59,9 @@ def command(
 ) -> int:
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
 
-    With --calibration it says to how many of them that was fitted: errors on those are in sample. One that
-    failed its validation run is judged all the same, and a warning names it. Where the wheels contradict the
-    ground truth (wheel order, signs, axes), the exit code is 2.
+    With --calibration it reports to how many of them the calibration was fitted: errors on those are in
+    sample. A calibration that failed its validation run is used, with a warning. If the wheels contradict
+    the ground truth (wheel order, signs, axes), the exit code is 2.
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
@@ -161,7 +161,7 @@ def _doubts(
     deploy: str,
     contradicted: bool,
 ) -> list[str]:
-    """What these errors must be judged by: a geometry that cannot be right, motions never fitted."""
+    """Reasons to doubt these errors: a geometry that cannot be right, motions that were never fitted."""
     from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, Driven, mismatch
     from hil.calibration.problem import make_setting
     from hil.calibration.validation import deployed

@@ -55,7 +55,7 @@ class Asked:
     "--random",
     "count",
     type=click.IntRange(1, 100_000),
-    help="So many runs with one to four faults at random moments instead.",
+    help="Instead: this many runs with one to four faults at random moments.",
 )
 @bench_options("bench", bench={"default": DEFAULTS["bench"]})
 @click.option(
@@ -133,7 +133,7 @@ def command(
 def _judge(
     cells: Sequence[Cell], there: dict[Cell, CellVerdict], bench: str, workers: int, kept: KeptVerdicts
 ) -> None:
-    """Run these cells, tell how it goes, and keep every verdict as it comes, also in `there`."""
+    """Run these cells, report progress, and store every verdict at once, also in `there`."""
     from hil.procedure.campaign import spread
     from hil.procedure.faults import lost, run_cell
 
@@ -152,7 +152,7 @@ def _judge(
 
 
 def _cells(asked: Asked) -> tuple[Cell, ...]:
-    """The cells that were asked for; raises `UsageError` for what there is not."""
+    """The selected cells; raises `UsageError` for an unknown name or a bench with real devices."""
     from hil.bench import check_faults, supported_faults
     from hil.config.loading import load_bench
     from hil.procedure.campaign import parse_seeds
@@ -181,7 +181,7 @@ def _cells(asked: Asked) -> tuple[Cell, ...]:
 
 
 def _known(option: str, text: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Names separated by commas, all of them known."""
+    """Names of a comma-separated option; raises `UsageError` for one that is not in `names`."""
     given = tuple(text.split(","))
     for name in given:
         if name not in names:
@@ -194,7 +194,7 @@ def _known(option: str, text: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _shown(asked: Asked) -> str:
-    """The command that repeats it."""
+    """The command line that repeats this fault campaign."""
     parts = ["hil faults", f"--seeds {asked.seeds}"]
     parts += ["--quick"] if asked.quick else [f"--only {text}" for text in asked.only]
     for option, given in (("moments", asked.moments), ("plants", asked.plants), ("bench", asked.bench)):

@@ -34,7 +34,7 @@ def _load_bench(plant: str) -> None:
 
 
 def _load(part: str) -> None:
-    """Have the kernels of a part compiled, or loaded where they have been."""
+    """Compile the kernels of a part, or load them if they are in the cache."""
     from hil.calibration.residual_pass import load_pass
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
@@ -42,7 +42,7 @@ def _load(part: str) -> None:
     from hil.estimator.unscented import points_of
     from hil.support.numba_jit import PROGRESS
 
-    PROGRESS.setLevel(logging.ERROR)  # the command itself says how far it is
+    PROGRESS.setLevel(logging.ERROR)  # the command reports its own progress
     loads: dict[str, Callable[[], None]] = {
         "filter": load_filter,
         "unscented filter": lambda: load_filter(points_of(EstimatorConfig(kind="ukf"))),
@@ -53,7 +53,7 @@ def _load(part: str) -> None:
 
 
 def _compile(report: Report) -> None:
-    """Have all kernels compiled in two processes; what is part of others comes first."""
+    """Compile all kernels in two processes, those that others contain first."""
     plants = ["own"] if lacks("mujoco") else ["own", "mujoco"]
     rounds = (["filter", "calibration"], [plants[0], "unscented filter", "smoother", *plants[1:]])
     done, parts = 0, sum(map(len, rounds))

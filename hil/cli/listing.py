@@ -1,4 +1,4 @@
-"""`hil list`: what there is to name on the command line and in a bench file."""
+"""`hil list`: the names that the command line and a bench file accept."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
     "--bench",
     type=BENCH,
     default="emulated",
-    help="Whose devices and faults, if all were emulated [default: emulated].",
+    help="Bench whose devices and faults to list, as if all were emulated [default: emulated].",
 )
 @JSON
 def command(what: str | None, bench: str, as_json: bool) -> int:
-    """List what there is: procedures, profiles, devices, faults, estimators; all of it without WHAT.
+    """List procedures, profiles, devices, faults or estimators; without WHAT, all of them.
 
     Example: hil list procedures
     """
@@ -93,7 +93,7 @@ def _by_model(found: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:
 
 
 def _by_faults(found: Mapping[str, Mapping[str, Sequence[str]]]) -> list[tuple[str, str]]:
-    """Devices with the same faults share a row."""
+    """Rows of devices and their faults; devices with the same faults share a row."""
     return [
         (", ".join(names), ", ".join(faults))
         for faults, names in groupby(found, key=lambda name: tuple(found[name]))

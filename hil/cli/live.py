@@ -113,7 +113,7 @@ def command(
     Without --trajectory, --command and a program on ROS 2 it only watches: no wheel moves. On a wall torque
     is switched on, so that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
-    exit code 4; further signals do not shorten that. While the bench opens, it is opened first.
+    exit code 4; further signals do not shorten that. A signal while the bench opens acts once it is open.
     A session that ends well but leaves the robot NOT HELD ends with exit code 3.
 
     Example: hil live --bench emulated --duration 20 --rerun spawn
@@ -123,7 +123,7 @@ def command(
     from hil.support.stop_signals import StopRequest
 
     if request.ros2_topic and commands != "none":
-        raise UsageError(f"--command and --controller {request.controller} both want to move the robot")
+        raise UsageError(f"--command and --controller {request.controller} would both move the robot")
     _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
     if repeated is not None and request.ros2_topic:
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
@@ -165,7 +165,7 @@ def command(
 
 
 def _program(request: BenchRequest, publisher: Ros2Publisher | None) -> Ros2Program | None:
-    """The program on ROS 2 that drives the open bench; prints where it is looked for; None without one."""
+    """The program on ROS 2 that drives the open bench, None without one; prints the topic that is used."""
     if publisher is None or not request.ros2_topic:
         return None
     from hil.live.ros2_program import Ros2Program
@@ -195,8 +195,7 @@ def _must_agree(
     """Refuse options that contradict each other, and a recording that cannot be written."""
     if source is not None and commands != "none":
         raise UsageError(
-            f"--trajectory and commands from {commands} both want to move the robot",
-            remedy="give one of them",
+            f"--trajectory and commands from {commands} would both move the robot", remedy="give one of them"
         )
     if unrecorded and record is not None:
         raise UsageError("--record and --no-record contradict each other", remedy="give one of them")
@@ -207,7 +206,7 @@ def _must_agree(
 
 
 def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
-    """The bench in real time, with where the robot stands, and which recording it repeats."""
+    """The bench in real time, with the start pose and the recording that it repeats."""
     from hil.config.loading import must_have_a_device
 
     overrides = {} if repeated is None else {"emulation.replay": str(repeated.resolve())}
@@ -217,7 +216,7 @@ def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
 
 
 def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
-    """Run the session on the open bench; the summary is printed however it ends, also before it begins."""
+    """Run the session on the open bench; always prints the summary, even if the session never began."""
     from hil.bench.hold.result import seen_in_words
 
     bench = session.bench
@@ -237,7 +236,7 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
 
 
 def _dated() -> Path:
-    """Where a recording goes without a name."""
+    """Default path of a recording, made of date and time."""
     return Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3]).with_suffix(".mcap")
 
 

@@ -1,4 +1,4 @@
-"""What is added to click's own messages about a mistyped line: the word that was meant, and an example."""
+"""Adds suggestions and an example to click's own messages about a mistyped command line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _OPTIONS = ("help", "version")
 
 
 def hint_for_command(given: str, known: list[str]) -> str:
-    """What was probably meant by a command that does not exist: an option, or another command."""
+    """Suggestion for an unknown command: an option, or another command."""
     if given in _OPTIONS:
         return f"did you mean --{given}?"
     other = next((name for name in _SAID.get(given, ()) if name in known), None)
@@ -43,7 +43,7 @@ def hint_for_command(given: str, known: list[str]) -> str:
 
 
 def explained(error: click.ClickException) -> click.ClickException:
-    """An error of click with what helps in it; one that needs nothing as it is."""
+    """A click error with a suggestion or an example added; unchanged where there is none."""
     if not isinstance(error, click.UsageError):
         return error
     ctx, text = error.ctx, error.format_message()
@@ -71,7 +71,7 @@ def _of_value(text: str) -> str:
 
 
 def _of_extra(text: str, ctx: click.Context | None) -> str:
-    """A bench given without the name of its option."""
+    """Text of an error about extra arguments; suggests `--bench` if the first one names a bench."""
     wrong = _EXTRA.match(text)
     if wrong is None or ctx is None:
         return text

@@ -23,12 +23,12 @@ PROGRESS = ("auto", "json")
 
 
 def results_folder(name: str, out: Path | None, resumed_by: str | None) -> Path:
-    """Where results go: `out`, else a new folder below `out/NAME`, else the latest one there to resume.
+    """Results folder: `out`, else a new folder below `out/NAME`, or the latest one there to resume.
 
     Args:
         name: of what is run.
-        out: as it was asked for.
-        resumed_by: file by which a run that can be resumed is known; None for a new one.
+        out: as given on the command line.
+        resumed_by: file that marks a run as resumable; None for a new run.
 
     Raises:
         UsageError: there is nothing to resume.
@@ -45,10 +45,10 @@ def results_folder(name: str, out: Path | None, resumed_by: str | None) -> Path:
 
 
 class FiniteRange(click.FloatRange):
-    """A number of a range; click's own lets NaN through, which is in no order to any bound."""
+    """A float within a range; refuses NaN, which click's own type accepts."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """As click's, refusing what is not finite."""
+        """Like click's; refuses a number that is not finite."""
         found = float(super().convert(value, param, ctx))
         if not math.isfinite(found):
             self.fail(f"{value!r} is not a finite number", param, ctx)
@@ -56,10 +56,10 @@ class FiniteRange(click.FloatRange):
 
 
 class FileName(click.Path):
-    """A file or folder. A name that none can have is refused before anything looks for it."""
+    """A file or folder; a name that no file can have is refused before any access."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """As click's; raises `UsageError` for such a name."""
+        """Like click's; raises `UsageError` for a name that no file can have."""
         found = super().convert(value, param, ctx)
         if isinstance(found, Path) and not (ctx is not None and ctx.resilient_parsing):
             check_name(found, param.opts[0] if isinstance(param, click.Option) else "")
@@ -67,10 +67,10 @@ class FileName(click.Path):
 
 
 class _Place(FileName):
-    """A file or folder to write. An empty name, as of a shell variable that is not set, is no place."""
+    """A file or folder to write; refuses an empty name, as an unset shell variable gives."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """As click's, which takes an empty name for the folder that one is in."""
+        """Like click's, which takes an empty name for the current folder; this refuses it."""
         if value == "":
             self.fail("the name is empty", param, ctx)
         return super().convert(value, param, ctx)
@@ -85,12 +85,12 @@ PLOTS = click.option("--plots", type=FILE, help="Folder for figures and an HTML 
 
 
 class SuggestingGroup(click.Group):
-    """A group of commands that answers a mistyped one with the nearest it has."""
+    """A group of commands that suggests the nearest name for a mistyped command."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click's, with a suggestion for a command that does not exist; a shell completes without one."""
+        """Like click's, with a suggestion for an unknown command, except during shell completion."""
         name, known = args[0], self.list_commands(ctx)
         if name not in known and not (name.startswith("-") or ctx.resilient_parsing):
             from hil.cli.mistyped import hint_for_command
@@ -108,12 +108,12 @@ def _checked_view(ctx: click.Context, parameter: click.Parameter, value: str | N
 
 
 def rerun_option(help_text: str) -> Callable[[Any], Any]:
-    """The option `--rerun`, refused before anything is opened when it names no view."""
+    """The option `--rerun`; an invalid target is refused before anything is opened."""
     return click.option("--rerun", "view", callback=_checked_view, help=help_text)
 
 
 def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
-    """The option `--on-recording-failure`, for what is not to be lost, in words."""
+    """The option `--on-recording-failure`; its help names `what` the disk may no longer take."""
     return click.option(
         "--on-recording-failure",
         "on_failure",
@@ -125,7 +125,7 @@ def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
 
 
 def say_rerun_files(view: str) -> None:
-    """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
+    """Print on stderr the files that `--rerun` has written, how to open them, and which are incomplete."""
     from hil.monitor.rrd_file import files_of, what_is_missing
 
     for name in files_of(part.strip() for part in view.split(",")):
@@ -141,7 +141,7 @@ def say_rerun_files(view: str) -> None:
 
 
 def _opening(name: str) -> str:
-    """Command line that shows a file; the viewer need not be on the path, where `hil` is not either."""
+    """Command line that opens a file in the viewer; works also if the viewer is not on the PATH."""
     beside = Path(sys.executable).with_name("rerun")
     viewer = ["rerun"] if shutil.which("rerun") else [str(beside)] if beside.is_file() else []
     return shlex.join([*(viewer or [sys.executable, "-m", "rerun"]), name])

@@ -1,12 +1,12 @@
-"""Standard output and standard error that may lose their reader: the command then ends, in order.
+"""Watches standard output and standard error: without a reader, the command ends in an orderly way.
 
-The reader may go (`| head`, a closed terminal). What is written from then on goes nowhere. A command that
-takes SIGTERM, as those with a robot in hand do, is asked to end by it, and ends with 4 unless its verdict
-stood already. Any other goes on to its end, and its exit code is that of what it found: whether the reader
-left before the last line or after it makes no difference. Where the output cannot be kept for another reason
-(a full disk), the exit code is 4 always, with `Aborted` where the command takes no SIGTERM.
+The reader may disappear (`| head`, a closed terminal); later output is discarded. A command that handles
+SIGTERM, as those that drive a robot do, gets SIGTERM and ends with 4, unless its verdict was already known.
+Any other command runs to its end, and its exit code is that of its result, whether the reader left before the
+last line or after it. If the output fails for another reason (a full disk), the exit code is always 4, with
+`Aborted` if the command does not handle SIGTERM.
 
-Also what `--json` writes to it when a command ends in an error.
+Also makes the `--json` object of a command that ends in an error.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _STDOUT, _STDERR = 1, 2
 
 @dataclass
 class Answered:
-    """Whether a command has written its JSON object and goes on; an error then adds none."""
+    """Whether a command that still runs has written its JSON object; a later error then adds none."""
 
     already: bool = False
 
@@ -69,7 +69,7 @@ def print_user_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> No
 
 @contextmanager
 def kept_for_json(wanted: bool) -> Iterator[None]:
-    """Where one JSON object is wanted, what is printed meanwhile, by processes too, goes to stderr."""
+    """If one JSON object is wanted, send other output, also of child processes, to stderr meanwhile."""
     if not wanted:
         yield
         return
@@ -85,7 +85,7 @@ def kept_for_json(wanted: bool) -> Iterator[None]:
 
 
 class _Raw(io.FileIO):
-    """A standard stream; the first write that fails is the last that goes anywhere."""
+    """A standard stream; after the first write that fails, all output is discarded."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "w", closefd=False)
@@ -123,7 +123,7 @@ def print_end(text: str, held: Mapping[str, Any]) -> None:
     """Print how a run ended; without a reader, standard error says at least how the robot was left.
 
     Args:
-        text: all that is to be said.
+        text: the complete text.
         held: `Held.to_json` of the robot.
     """
     from hil.bench.hold.result import held_in_words

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _BETWEEN_NS = nanoseconds(0.2)
 _QUIET_NS = nanoseconds(30.0)
-"""No longer without a line while work gets on."""
+"""Longest time between two lines while work proceeds."""
 
 
 @contextmanager
@@ -53,12 +53,12 @@ def for_a_program() -> bool:
 
 
 def tell(kind: str, data: Mapping[str, Any] | str) -> None:
-    """One object on stderr, `{kind: data}`."""
+    """Print one JSON object on stderr, `{kind: data}`."""
     click.echo(json.dumps({kind: data}, allow_nan=False), err=True)
 
 
 class _Objects:
-    """An object per step of the work, a few in a second at the most."""
+    """Progress for a program: a JSON object per step of the work, at most five per second."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -76,7 +76,7 @@ class _Objects:
 
 
 class _Lines:
-    """A line per tenth of each piece of work, or when half a minute has passed; one go is named once."""
+    """Prints a line per tenth of each task, or after half a minute; one line for a task of a single step."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -103,7 +103,7 @@ class _Lines:
         click.echo(f"{words}, {left}" if left else words, err=True)
 
     def _left(self, pace: Pace) -> str:
-        """Seconds left of the whole work where that is known, else of this piece."""
+        """Time left in words: of the whole work if known, else of this task."""
         whole = self._paces.get(WHOLE)
         if whole is not None and whole.left_s is not None:
             return f"{in_words(whole.left_s)} {WHOLE}"

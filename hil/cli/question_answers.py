@@ -43,7 +43,7 @@ def _say(kind: str, text: str) -> None:
 
 
 def asked_to_end() -> Interrupts:
-    """Signals of a command: Ctrl-C of a person gives the step a moment, SIGINT of a program its time."""
+    """Signal handling: a person's Ctrl-C gives the step a moment to end, SIGINT of a program all its time."""
     from hil.procedure.operator import tell
     from hil.procedure.stop_requests import PATIENCE_S, Interrupts
 
@@ -51,7 +51,7 @@ def asked_to_end() -> Interrupts:
 
 
 def watching() -> tuple[Sink, ...]:
-    """What a program that reads the progress is shown of a running bench; nothing for a person."""
+    """Sinks that report the running bench to a program that reads the progress; none for a person."""
     if not progress.for_a_program():
         return ()
     from hil.core.clock import MonotonicClock

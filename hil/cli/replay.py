@@ -134,7 +134,7 @@ def command(
 
 
 def _write(result: dict[str, Any], write: Callable[[], object]) -> None:
-    """Write a page; what keeps it from being written costs none of the figures."""
+    """Write a page; if that fails, the figures of the replay are kept."""
     try:
         write()
     except DataError as error:
@@ -190,7 +190,7 @@ def _write_verification(page: Path, opened: OpenedRecording, result: dict[str, A
 
 
 def _show(bench: BenchModel, run: RecordedRun, motions: dict[str, Motion], view: str | None) -> str:
-    """Play the run to the monitor, the estimators as further paths; says what it did not take."""
+    """Show the run in the monitor, other estimators as further paths; returns what failed there."""
     if view is None:
         return ""
     from hil.monitor import RerunMonitor, Scene

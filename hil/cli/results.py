@@ -1,4 +1,4 @@
-"""`hil results`: what earlier runs have left: listed, opened, searched, followed over time, deleted."""
+"""`hil results`: lists, opens, searches, follows over time and deletes the results of earlier runs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def command() -> None:
 @_filters
 @JSON
 def list_results(where: Path, as_json: bool, **asked: Any) -> int:
-    """What ran, when, on which bench, with which verdict; the latest first.
+    """List runs with time, bench and verdict, the latest first.
 
     Example: hil results list --verdict FAIL --since 2026-01-31
     """
@@ -157,7 +157,7 @@ def _print(kept: Kept) -> None:
 
 
 def _key_rows(kept: Kept) -> list[str]:
-    """The measurements that a reader wants first: what failed, then what is nearest to its limit."""
+    """Rows of the most important measurements: failed ones, then those nearest to their limits."""
     from hil.report.pages import digits_of, number
     from hil.report.run_summary import missing_words
 
@@ -228,7 +228,7 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
 )
 @JSON
 def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bool, as_json: bool) -> int:
-    """Each measurement over all runs of a bench: is it steady, does it drift, when does it meet its limit?
+    """Each measurement over all runs of a bench: is it steady, does it drift, when will it reach its limit?
 
     Example: hil results trends --bench lab
     """
@@ -296,8 +296,8 @@ def _group_json(group: Any) -> dict[str, Any]:
 def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
     """Delete results for good. Says what would be lost, and asks.
 
-    Only what `hil` has written is deleted. Files of yours in the folder of a run stay, and are named. No run
-    that is still going on is deleted, no link, and nothing behind one.
+    Only files that `hil` has written are deleted. Your own files in the folder of a run stay, and are named.
+    A run that is still active, a link, and what a link points to are never deleted.
 
     Example: hil results delete bring_up/20260131-101500-000
     """

@@ -1,4 +1,4 @@
-"""`hil robot`: the record of a robot: what is known of it, what changed, and back again."""
+"""`hil robot`: shows, compares, applies and rolls back the record of a robot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def command() -> None:
 @click.option("--page", type=FILE, help="Write an HTML page, too.")
 @JSON
 def show(record: Path, version: int | None, page: Path | None, as_json: bool) -> int:
-    """What is known of the robot, how well, since when, and what is out of date.
+    """Show what the record knows of the robot, with uncertainty and date, and what is out of date.
 
     Example: hil robot show robot --page robot.html
     """
@@ -84,7 +84,7 @@ def _line(row: dict[str, Any]) -> str:
 @click.argument("second", type=int, required=False)
 @JSON
 def diff(record: Path, first: int | None, second: int | None, as_json: bool) -> int:
-    """What two versions know differently [default: the one in place and the one before it].
+    """Show how two versions differ [default: the one in place and the one before it].
 
     Example: hil robot diff robot 2 3
     """
@@ -127,9 +127,7 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
 )
 @click.option("--bench", type=BENCH, help="Bench file or profile of the robot; needed with --from.")
 @click.option(
-    "--of-this-robot",
-    is_flag=True,
-    help="You know that a file is of this robot which does not say of which it is.",
+    "--of-this-robot", is_flag=True, help="Confirm that a file which names no robot is of this robot."
 )
 @JSON
 def apply(
@@ -142,7 +140,7 @@ def apply(
 ) -> int:
     """Put a version in place, or take parts from older files as a new version.
 
-    What another robot, or a run that did not pass, has left is refused.
+    Results of another robot, or of a run that did not pass, are refused.
 
     Example: hil robot apply robot --from calibration.toml --bench my.toml
     """
@@ -182,7 +180,7 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
 @bench_options("bench", "calibration")
 @click.option("--out", type=OUT, help="File to write [default: standard output].")
 def urdf(request: BenchRequest, out: Path | None) -> int:
-    """The robot of a bench for ROS and Foxglove; its joints take the angles of /joint_states.
+    """Write the URDF of a bench's robot for ROS and Foxglove; its joints take the angles of /joint_states.
 
     Example: hil robot urdf --bench my.toml --out robot.urdf
     """

@@ -27,7 +27,7 @@ def configured(bench: str | None) -> BenchConfig | None:
 
 
 def on_paper(config: BenchConfig | None) -> Nominal:
-    """The robot of a bench before any calibration, the CAD model without one."""
+    """The nominal robot of a bench, before any calibration; the CAD model without a bench."""
     from hil.datasets.nominal_robot import Nominal
 
     if config is None:

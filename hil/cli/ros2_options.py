@@ -1,4 +1,4 @@
-"""What `--ros2` and the options beside it ask for, as long as a command runs."""
+"""Publishes the benches of a command on ROS 2, as `--ros2` and the options beside it say."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 def published(
     request: BenchRequest, config: BenchConfig, *, patient: bool = False
 ) -> Iterator[Ros2Publisher | None]:
-    """Be on ROS 2, if that is asked for.
+    """Join ROS 2 for the duration of the block, if the command line asks for it.
 
     Args:
         request: of the command line.
         config: of the bench.
-        patient: whether a program that drives is waited for as long as it takes.
+        patient: whether to wait without a timeout for a program that drives.
 
     Returns:
-        What publishes benches; None without `--ros2` and without a controller on ROS 2.
+        The publisher of benches; None without `--ros2` and without a controller on ROS 2.
 
     Raises:
         UsageError: options that mean nothing without `--ros2`, no such domain or interface.

@@ -31,15 +31,15 @@ _SCRIPT = "the script of this line"
 
 
 class _WithParameters(click.Command):
-    """Its help goes on with the parameters of the procedure that stands before `--help`."""
+    """Command whose help also lists the parameters of the procedure named before `--help`."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As click's; keeps what may be a script for `format_epilog`."""
+        """Like click's; keeps what may be a script for `format_epilog`."""
         ctx.meta[_SCRIPT] = next((word for word in args if not word.startswith("-")), None)
         return super().parse_args(ctx, args)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The parameters, with their defaults; of a procedure that cannot be read, why not."""
+        """Print the parameters with their defaults; if the procedure cannot be read, the reason."""
         from hil.procedure.parameters import described
         from hil.procedure.procedure_lookup import load_procedure
 
@@ -151,7 +151,7 @@ def command(
 
 
 def _report_of(result: Result) -> tuple[str | None, int]:
-    """Path of the report, None where the disk does not take it, and the exit code of the run."""
+    """Path of the report, None if it cannot be written, and the exit code of the run."""
     from hil.core.errors import HilError
     from hil.procedure.result_files import KEEPING
     from hil.report.run_page import write_run_page
@@ -182,7 +182,7 @@ def _plan_text(plan: dict[str, Any]) -> str:
 
 
 def text_of(result: Result) -> str:
-    """What ended it first, then what was measured, and the verdict."""
+    """A result as text: what ended the run, then the measurements, and the verdict."""
     from hil.bench.hold.result import held_in_words
     from hil.procedure.measurements import Verdict
     from hil.report.pages import digits_of
@@ -202,7 +202,7 @@ def text_of(result: Result) -> str:
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
     notes = result.facts["notes"]
-    if result.verdict is Verdict.PASS:  # then the last count: what was set again, faults asked for in vain
+    if result.verdict is Verdict.PASS:  # only notes on repeated measurements and unused faults
         last = sum("earlier" in row for row in result.measurements) + bool(result.facts["faults_not_begun"])
         notes = notes[len(notes) - last :]
     lines += [f"note: {note}" for note in notes]

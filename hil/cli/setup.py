@@ -65,7 +65,7 @@ def command(
 
 
 def _must_not_hold(port: str) -> None:
-    """Refuse a port of which a bench file of this folder, or its USB ids, say that it holds the robot."""
+    """Refuse a port that, by a bench file of this folder or by its USB ids, holds the robot."""
     from pathlib import Path
 
     from hil.bench.doctor.protected_ports import ports_that_hold, why_it_holds

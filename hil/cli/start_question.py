@@ -1,4 +1,4 @@
-"""Where a real robot stands: `--start`, or a question at the terminal."""
+"""Start pose of a real robot: from `--start`, or from a question at the terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FORM = "x,y,theta: m, m, rad in the wall frame (theta also as 5deg)"
 
 
 def parse_start(text: str) -> tuple[float, float, float]:
-    """Pose of `x,y,theta`; raises `UsageError` that says how it is written."""
+    """Pose of a text `x,y,theta`; raises `UsageError` that names this form."""
     parts = [part.strip() for part in text.split(",")]
     try:
         x_m, y_m = map(float, parts[:-1])
@@ -33,12 +33,12 @@ def parse_start(text: str) -> tuple[float, float, float]:
 
 
 def start_override(given: str | None) -> dict[str, object]:
-    """What `--start` says, as an override of the bench file."""
+    """`--start` as an override of the bench file; empty without it."""
     return {} if given is None else {KEY: parse_start(given)}
 
 
 def asked_start(config: BenchConfig) -> dict[str, object]:
-    """The start pose as an override, asked for at the terminal where it is unknown.
+    """The start pose as an override; asks at the terminal if it is unknown.
 
     Raises:
         ConfigError: it is unknown, and there is no terminal.

@@ -73,10 +73,10 @@ def command(
 ) -> int:
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
 
-    Figures about which they say nothing, as the gyro's in recordings of wheels alone, are left out. With
-    --check the exit code is 1 where the new figures do worse on what was not fitted. A damaged recording is
-    used as far as it can be read, and the exit code is 2. Nothing is fitted well to wheels that contradict
-    the ground truth: no file is written, and the exit code is 2.
+    Figures that they do not determine, such as the gyro's in recordings of wheels alone, are left out. With
+    --check the exit code is 1 if the new figures do worse on recordings that were not fitted. A damaged
+    recording is used as far as it can be read, and the exit code is 2. If wheels contradict the ground truth,
+    no fit is good: no file is written, and the exit code is 2.
 
     Example: hil tune out/wall_tracking/first
     """
@@ -131,7 +131,7 @@ def command(
 
 
 def _check_out(out: Path, bench: str | None) -> None:
-    """Refuse what cannot be written, and what would be written over: only an earlier result may be."""
+    """Refuse a path that cannot be written, or that holds anything but an earlier result."""
     from hil.support.file_reading import read_toml
 
     check_ending(out, ".toml")
@@ -152,7 +152,7 @@ def _check_out(out: Path, bench: str | None) -> None:
 
 
 def _found(paths: Sequence[Path], topics: Path | None) -> list[list[Job]]:
-    """The recordings at each path; those of a folder each by itself, as one of ours is more than a table."""
+    """The recordings at each path; recordings in a folder are separate jobs."""
     from hil.datasets.read import find_recordings
 
     return [find_recordings([path], topics) for path in paths]
@@ -164,7 +164,7 @@ def _files(found: Sequence[Sequence[Job]]) -> set[Path]:
 
 
 def _once(paths: Sequence[Path], found: Sequence[Sequence[Job]]) -> list[Job]:
-    """Recordings at paths without those paths whose files others name as well; a warning names each such."""
+    """Recordings at the paths, each file once; a warning names every path that is given more than once."""
     files = [_files([jobs]) for jobs in found]
     kept = list(range(len(paths)))
     for k in reversed(range(len(paths))):
@@ -229,7 +229,7 @@ def _read(
 
 
 def _start(config: EstimatorConfig, runs: Sequence[TruthRun]) -> EstimatorConfig:
-    """Where the search begins: with the filters that `hil replay` has for such recordings."""
+    """Start of the search: the filters that `hil replay` uses for such recordings."""
     from hil.core.signals import heard
     from hil.replay.estimator_comparison import rest_on_wheels
 
@@ -238,7 +238,7 @@ def _start(config: EstimatorConfig, runs: Sequence[TruthRun]) -> EstimatorConfig
 
 
 def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None:
-    """Refuse a bench file whose wheels are not those of the robot that a recording names."""
+    """Refuse a bench file whose wheels differ from those of the robot in a recording."""
     recorded: dict[str, Any] = header.get("config", {}).get("robot", {})
     mine = config.robot.model_dump()
     keys = ("wheel_x_m", "wheel_y_m", "wheel_radius_m")
@@ -256,7 +256,7 @@ def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None
 
 
 def _geometry(used: WheelGeometry, bench: str | None) -> dict[str, object]:
-    """The wheels that the estimators read with, as results name them."""
+    """The wheel geometry that the estimators use, as results name it."""
     from hil.datasets.nominal_robot import Nominal
 
     source = "the recording" if bench is None else f"the recording, else bench {bench}"
@@ -285,7 +285,7 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
 
 
 def _do_not_use(check: Sequence[Path], lost: str, out: Path | None) -> str:
-    """What figures that do worse on held-out recordings are worth, and what to do."""
+    """Warning about figures that do worse on held-out recordings, with the remedy."""
     kept = "" if out is None else f"; {out} is written all the same"
     return (
         f"on {', '.join(map(str, check))}, to which they were not fitted, the new figures do worse than "

@@ -20,10 +20,10 @@ class AdhesionConfig(DeviceConfig):
     """A fan with any controller: the keys that bench, checks and procedures need.
 
     Attributes:
-        force_n: what it is asked for on a wall; `robot.edf_force_n` when left out.
-        highest_force_n: more is never asked for.
-        by_need: while the robot is driven, ask for a tenth more than the limit at which it would be stopped,
-            by posture, surface and tilt, instead of for `force_n`.
+        force_n: set-point on a wall; `robot.edf_force_n` when left out.
+        highest_force_n: largest set-point.
+        by_need: while the robot is driven, command a tenth more than the limit at which it would be stopped,
+            by posture, surface and tilt, instead of `force_n`.
         rated_force_n, rated_rpm: force at a speed; it goes with the square of the speed. `hil run
             adhesion_check` finds it.
         rated_input_a, rated_input_v: current from the battery at that speed, and its voltage then.
@@ -43,11 +43,11 @@ class AdhesionConfig(DeviceConfig):
     hot_fet_c: Annotated[float, Within(30.0, 150.0, "degC")] = 80.0
 
     def force_at_n(self, speed_rpm: float) -> float:
-        """What a fan of this speed presses with."""
+        """Force of the fan at a speed, N."""
         return self.rated_force_n * (speed_rpm / self.rated_rpm) ** 2
 
     def speed_for_rpm(self, force_n: float) -> float:
-        """Speed at which it presses so."""
+        """Speed of the fan for a force, 1/min."""
         return self.rated_rpm * math.sqrt(force_n / self.rated_force_n)
 
 
@@ -55,19 +55,19 @@ class MotorConfig(AdhesionConfig, DaemonMotorConfig):
     """A fan whose motor controller is on CAN.
 
     Attributes:
-        command: what the controller is given: `duty`, `current` or `rpm`.
+        command: quantity that the controller is given: `duty`, `current` or `rpm`.
         rpm_per_v: of the motor: speed per volt, unloaded.
     """
 
     DROOP: ClassVar[float] = 0.93
-    """Speed of a loaded motor over that of a free one, before anything was measured."""
+    """Assumed speed of a loaded motor over that of a free one, until it is measured."""
 
     command: Literal["duty", "current", "rpm"] = "duty"
     rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0
 
     @property
     def counts_per_turn(self) -> int:
-        """What the controller counts as speed for each turn of the fan in a minute."""
+        """Speed in the controller's counts for 1/min of the fan."""
         return 1
 
     def daemon_spec(self) -> dict[str, Any]:
@@ -86,7 +86,7 @@ class VescConfig(MotorConfig):
 
     Attributes:
         controller_id: as set in VESC Tool (App Settings, General).
-        own_id: under which this program asks; no controller may have it.
+        own_id: id of this program in its requests; no controller may have it.
         pole_pairs: of the motor; electrical over mechanical speed.
     """
 

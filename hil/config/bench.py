@@ -35,7 +35,7 @@ C = TypeVar("C", bound=DeviceConfig)
 
 
 class BenchConfig(Strict):
-    """Everything about one bench, beside its devices, each of which has a table named after its kind.
+    """Configuration of one bench; each device has a further table, named after its kind.
 
     A missing table means that the bench lacks the device. `bench_model` gives the model with these tables.
 
@@ -82,7 +82,7 @@ class BenchConfig(Strict):
         return {name: table.name for name, table in self.devices().items()}
 
     def imperfections(self, kind: str) -> dict[str, Any]:
-        """What the bench file says in `[emulation.KIND]`."""
+        """The table `[emulation.KIND]` of the bench file; empty without one."""
         found: dict[str, Any] = getattr(self.emulation, kind, {})
         return found
 
@@ -91,7 +91,7 @@ class BenchConfig(Strict):
         return tuple(n for n, c in self.devices().items() if c.backend == "emulated")
 
     def elsewhere(self) -> tuple[str, ...]:
-        """Names of the devices that are in another world than the servos: they see nothing of their robot.
+        """Names of the devices that are in another world than the servos: they cannot measure their robot.
 
         Emulated ones beside real servos, real ones beside emulated servos; none on a bench without servos.
         """
@@ -101,7 +101,7 @@ class BenchConfig(Strict):
         return tuple(name for name, one in self.devices().items() if one.backend != servos.backend)
 
     def emulated_holders(self) -> tuple[str, ...]:
-        """Names of what holds a robot on its wall and is emulated beside real servos: that holds none."""
+        """Names of emulated devices that should hold a robot with real servos on its wall, but cannot."""
         servos = self.of(ServosConfig)
         if servos is None or servos.backend != "real":
             return ()
@@ -114,7 +114,7 @@ class BenchConfig(Strict):
 
     @property
     def placed(self) -> bool:
-        """Whether `environment.start_pose` is where the robot stands: an emulated one, or it is written so.
+        """Whether the robot stands at `environment.start_pose`: it is emulated, or the file gives the pose.
 
         A bench without servos has no robot that could be elsewhere.
         """
@@ -138,7 +138,7 @@ class BenchConfig(Strict):
             )
 
     def settled(self, *, realtime: bool) -> BenchConfig:
-        """With what depends on how the bench runs decided: `servos.prefetch`, where the file leaves it out.
+        """The configuration with `servos.prefetch` decided by how the bench runs, if the file leaves it out.
 
         Args:
             realtime: the bench is asked to run in real time; one with a real device does in any case.
@@ -173,7 +173,7 @@ def bench_model(further: tuple[str, ...] = ()) -> type[BenchConfig]:
 
 
 def _check_added() -> None:
-    """Hold what other packages add against the bench file: its names are taken, tables are tables."""
+    """Check what other packages add: names that the bench file does not use, tables of the right class."""
     ours = {*BenchConfig.model_fields, *EmulationConfig.model_fields}
     for kind in added():
         if kind.name in ours or hasattr(BenchConfig, kind.name):

@@ -1,4 +1,4 @@
-"""Devices on CAN buses: where each is, which identifiers are its own, and which of them two claim at once."""
+"""Devices on CAN buses: bus and identifiers of each, and conflicts between devices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.config.values import Patience, Within
 from hil.support.emulated_can_mark import bus_name
 
 SEARCH_S = 0.5
-"""So long discovery waits for a device on a bus."""
+"""Time that discovery waits for a device on a bus."""
 
 
 Option = Annotated[bool | int | float | str, Within(-1e12, 1e12, "no option of an interface is larger")]
@@ -24,7 +24,7 @@ class Claim(NamedTuple):
 
     Attributes:
         key: of the device's table.
-        what: `VESC id`, `DroneCAN node` or `frame`; different ones do not meet.
+        what: `VESC id`, `DroneCAN node` or `frame`; different ones do not conflict.
         number: the identifier.
     """
 
@@ -50,11 +50,11 @@ class CanConfig(DeviceConfig):
 
     @property
     def bus(self) -> str:
-        """The bus, as messages call it."""
+        """Name of the bus in messages."""
         return bus_name(self.interface, self.channel, self.options)
 
     def waits_for_loop(self) -> bool:
-        """Frames come when their sender likes, and stay in a queue until the loop takes them."""
+        """True: frames arrive unrequested, and stay in a queue until the loop takes them."""
         return True
 
     def table(self, **found: Any) -> dict[str, Any]:
@@ -64,15 +64,15 @@ class CanConfig(DeviceConfig):
         return {**reported, **found}
 
     def claims(self) -> Iterable[Claim]:
-        """Identifiers that are its own, as far as the table says."""
+        """Identifiers that belong to the device, as far as its table tells."""
         return ()
 
 
 def quarrels(devices: Mapping[str, DeviceConfig]) -> Iterator[tuple[str, str]]:
-    """Dotted path and text of every identifier and bit rate about which devices of one bus disagree.
+    """Dotted path and text of every conflict of identifiers or bit rates between devices of one bus.
 
     Args:
-        devices: tables by kind. An emulated device is on no bus with a real one.
+        devices: tables by name on the bench. An emulated device shares no bus with a real one.
     """
     tables = [(name, table) for name, table in devices.items() if isinstance(table, CanConfig)]
     for name, table in tables:

@@ -14,8 +14,8 @@ class DaemonMotorConfig(CanConfig):
     """A motor whose commands come from a daemon, a process of its own.
 
     Attributes:
-        timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
-            Tool; the doctor reads what it truly is, where the controller reports it.
+        timeout_s: time without a command after which the controller releases the motor, as set in VESC Tool;
+            the doctor reads the actual value, if the controller reports it.
         ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
         fail_after_s: uninterrupted silence that raises.
     """

@@ -137,9 +137,9 @@ class ExitConfig(Strict):
 
     Attributes:
         policy: `hold` keeps torque on, `release` drops it: on a wall the robot then slides.
-        look_after_s: how long a bench that closes goes on looking after a robot that is not held yet. Beside
-            propellers that report nothing a look takes as long as they would need to let the robot slide: 6 s
-            for the robot of the shipped profile.
+        look_after_s: how long a bench that closes keeps monitoring a robot that is not held yet. With
+            propellers that report nothing, one check takes as long as they would need to let the robot slide:
+            6 s for the robot of the shipped profile.
     """
 
     policy: Literal["hold", "release"] = "hold"

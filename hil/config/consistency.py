@@ -92,7 +92,7 @@ def _of_imperfections(config: BenchConfig) -> Iterator[Problem]:
 
 
 def _of_ports(devices: Mapping[str, DeviceConfig]) -> Iterator[Problem]:
-    """Serial ports at which the file has two devices: each would take the other's bytes as its own."""
+    """Serial ports that two devices of the file share: each would read the bytes of the other."""
     places = [(name, one, *_port(one)) for name, one in devices.items() if one.backend == "real"]
     for (name, one, key, place), (rival, other, their_key, theirs) in combinations(places, 2):
         can = isinstance(one, CanConfig) and isinstance(other, CanConfig)

@@ -22,28 +22,28 @@ class DeviceConfig(Strict):
     PATHS: ClassVar[tuple[str, ...]] = ()
     """Keys that hold paths: a relative one starts at the bench file's folder."""
     CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ()
-    """Keys that say where an emulated device is served: free places for one that only this process asks."""
+    """Keys for the address of an emulated device: free addresses are chosen if only this process uses it."""
     SHARES_PORT_WITH: ClassVar[tuple[str, ...]] = ()
-    """Models that may be at the serial port of this one: one that only writes beside one that only reads."""
+    """Models that may share the serial port of this one: one only writes, the other only reads."""
 
     backend: Literal["real", "emulated"] = "real"
     name: str | None = None
 
     def waits_for_loop(self) -> bool:
-        """Whether samples wait up to a cycle for the loop to take them, which makes them so much older.
+        """Whether samples wait up to a cycle until the loop takes them, which adds to their age.
 
-        Those that are asked for a cycle ahead (`prefetch`) do.
+        Samples that are requested a cycle ahead (`prefetch`) do.
         """
         return bool(getattr(self, "prefetch", False))
 
     def timeouts_s(self) -> float:
-        """What all its time-outs come to: so long its driver may take for a device that does not answer."""
+        """Sum of its time-outs, s: the longest that its driver may take for a device that does not answer."""
         given = (value for name, value in self if name.endswith("timeout_s"))
         return sum(float(value) for value in given if isinstance(value, (int, float)))
 
 
 class MountedConfig(DeviceConfig):
-    """A device whose place on the robot counts.
+    """A device whose mount on the robot matters.
 
     Attributes:
         mount_position_m, mount_rotation_wxyz: its frame in the body.

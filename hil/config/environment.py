@@ -10,12 +10,12 @@ from pydantic import Field, field_validator
 from hil.config.values import Angle, Strict, Within
 
 FLOOR_TILT_RAD = 0.1
-"""Beyond it a robot whose wheels lose their grip slides: it stands on a wall, and is guarded as there."""
+"""A steeper surface counts as a wall, with its guards: a robot whose wheels lose their grip slides there."""
 
 FRICTION = {"floor": 0.8, "concrete": 0.8, "melamine": 0.45, "patchy": 0.36}
 """Assumed friction of tyres on surfaces that have a name; on `patchy` that of the worst patch."""
 LEAST_FRICTION = 0.45
-"""Assumed on a surface of which nothing is known."""
+"""Friction assumed on an unknown surface."""
 SURFACES = tuple(FRICTION)
 """Surfaces that can be emulated; a real robot may stand on anything."""
 
@@ -66,5 +66,5 @@ class EnvironmentConfig(Strict):
 
     @property
     def kind(self) -> Literal["wall", "floor"]:
-        """`on_wall` in a word."""
+        """`wall` or `floor`, by `on_wall`."""
         return "wall" if self.on_wall else "floor"

@@ -51,7 +51,7 @@ class WheelNoise(Strict):
         per_sqrt_s: random creep of a wheel at rest, m per square root of a second.
         steering_m_rad: m of noise per radian that the module turned during the step.
         longest_gap_s: a longer interval is not taken for one displacement.
-        friction_window_s: wheel steps that `dry-friction` and `creep` look at together.
+        friction_window_s: wheel steps that `dry-friction` and `creep` evaluate together.
     """
 
     model: Literal["equations", "paper", "dry-friction", "creep"] = "equations"
@@ -222,7 +222,7 @@ _PAPER: dict[str, dict[str, Any]] = {
 
 
 _FREE_MOTION = {"acceleration_m_s2_sqrt_hz": 1.0, "angular_acceleration_rad_s2_sqrt_hz": 4.0}
-"""Process noise that leaves the motion to the wheels; where they stand both shake the robot about as much."""
+"""Process noise so large that the wheels determine the motion, in translation and rotation alike."""
 
 
 class EstimatorConfig(Strict):
@@ -257,14 +257,14 @@ class EstimatorConfig(Strict):
     time: TimeConfig = TimeConfig()
 
     def slip(self, surface: str) -> SlipModel:
-        """What the wheels cannot see on a surface: `wall` or `floor`."""
+        """Slip model of a surface: `wall` or `floor`."""
         return self.wall if surface == "wall" else self.floor
 
     def on_wheels_alone(self) -> EstimatorConfig:
-        """For recordings with neither gyro nor camera, where the user has not chosen the process noise.
+        """A copy for recordings with neither gyro nor camera; process noise that was chosen stays.
 
-        The noise that suits all sensors expects less of a start or a turn than wheels say: their gates then
-        refuse what nothing else measures, and the turn is lost.
+        With the noise that suits all sensors the filters expect smaller accelerations than those of a start
+        or a turn: the wheels' gates then reject what no other sensor measures, and the turn is lost.
         """
         free = {k: v for k, v in _FREE_MOTION.items() if k not in self.process.model_fields_set}
         return self.model_copy(update={"process": self.process.model_copy(update=free)})

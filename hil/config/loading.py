@@ -51,7 +51,7 @@ def profile_summary(name: str) -> str:
 
 
 def _bench_files(folder: Path) -> list[str]:
-    """Bench files of a folder: what may have been meant by a name that is none."""
+    """Bench files of a folder, as suggestions for a wrong name."""
     with suppress(OSError):
         return sorted(
             str(found) for found in islice(folder.glob("*.toml"), _MOST_LOOKED_AT) if _is_bench(found)
@@ -60,7 +60,7 @@ def _bench_files(folder: Path) -> list[str]:
 
 
 def _is_bench(path: Path) -> bool:
-    """Whether a TOML file has what every bench file has."""
+    """Whether a TOML file has the keys of every bench file."""
     with suppress(HilError):
         return {"schema", "name"} <= read_toml(path).keys()
     return False
@@ -100,7 +100,7 @@ def _found(source: str | Path) -> tuple[dict[str, Any], str]:
 
 
 class NoSuchDevice(ConfigError):
-    """A device that is to be emulated is none of the bench; `present` are those it has."""
+    """The bench has no device of the name that is to be emulated; `present` are its devices."""
 
     def __init__(self, device: str, present: Sequence[str]) -> None:
         self.device, self.present = device, tuple(present)
@@ -120,7 +120,7 @@ def must_have_a_device(config: BenchConfig, source: str, otherwise: str) -> None
     Args:
         config: of the bench.
         source: file or profile, as it was named.
-        otherwise: what comes of it, in words.
+        otherwise: consequence of a missing device, in words.
 
     Raises:
         ConfigError: it has none.
@@ -137,15 +137,15 @@ def load_bench(
     today: date | None = None,
     seed: int | None = None,
 ) -> BenchConfig:
-    """Read and check a bench configuration, with what the record that it names knows of the robot.
+    """Read and check a bench configuration, with the values of the robot's record that it names.
 
     Args:
         source: path, profile name, or a model that is already built.
         emulate: `all` or device names whose backend is switched to emulated.
         overrides: dotted key -> value, applied before validation. With another model of a device
             (`imu.model`) the keys of its table that only the model of the source has are left out.
-        today: what the validity of the record's parts is judged on, today by default.
-        seed: of the emulated world, by which the record of its robot is recognised.
+        today: date for the validity of the record's parts, today by default.
+        seed: of the emulated world; identifies its robot in the record.
 
     Raises:
         ConfigError: listing every problem with its dotted path, or a record that cannot be used.
@@ -173,7 +173,7 @@ def load_bench(
 
 
 def _change_models(tree: dict[str, Any], overrides: Mapping[str, object]) -> None:
-    """Leave out what a table says of a model that it is no longer to be of."""
+    """Remove keys that the new model lacks from tables whose model an override changes."""
     for kind in (kinds()[name] for name in devices_in(tree)):
         table, name = tree[kind.name], overrides.get(f"{kind.name}.model")
         model = next((m for m in kind.models if m.name == name), None)
@@ -184,7 +184,7 @@ def _change_models(tree: dict[str, Any], overrides: Mapping[str, object]) -> Non
 
 
 def _forget_noise(tree: dict[str, Any], overrides: Mapping[str, object]) -> None:
-    """Leave out what a profile says of the noise of devices that are to be real, or beside a preset."""
+    """Remove a profile's noise of devices that are to be real; with a preset, its whole `estimator`."""
     if overrides.get("estimator.preset", "recommended") != "recommended":
         tree.pop("estimator", None)
     for name, tables in _NOISE_OF.items():
@@ -197,7 +197,7 @@ def path_keys(names: Iterable[str]) -> tuple[str, ...]:
     """Dotted keys of a bench file that name a file or a folder.
 
     Args:
-        names: of the bench's devices; other names count for nothing.
+        names: of the bench's devices; other names are ignored.
     """
     models = (m for name in names if name in kinds() for m in kinds()[name].models)
     of_devices = (f"{m.kind}.{path}" for m in models for path in getattr(m.config, "PATHS", ()))
@@ -262,7 +262,7 @@ def validate(tree: Mapping[str, Any], origin: str, overrides: Sequence[str] = ()
 
 
 def _what_is_right(tree: Mapping[str, Any], wrong: list[tuple[int | str, ...]]) -> BenchConfig | None:
-    """The configuration without its wrong values, to look at the others; None if nothing is left of it."""
+    """The configuration without its wrong values, to check the others; None if it is still invalid."""
     rest = copy.deepcopy(dict(tree))
     for *tables, key in wrong:
         table: Any = rest
@@ -289,7 +289,7 @@ def explained(error: ValidationError) -> list[str]:
 
 
 def _place(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
-    """Names of the keys on the way to a problem, without the model that pydantic puts among them."""
+    """Keys of the path to a problem, without the model name that pydantic inserts."""
     kind = kinds().get(str(loc[0])) if loc else None
     if kind is None or len(kind.models) == 1 or len(loc) == 1:
         return loc
@@ -297,7 +297,7 @@ def _place(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
 
 
 def _keys(loc: Sequence[int | str]) -> tuple[str, ...]:
-    """Names of the keys in a table of the file, by pydantic's way to it: behind a kind may stand a model."""
+    """Names of the keys in a table of the file, by pydantic's path; a model may follow the kind there."""
     models: list[Any] = [bench_model()]
     tables = list(_place(tuple(loc)))
     if len(tables) < len(loc):
@@ -311,7 +311,7 @@ def _keys(loc: Sequence[int | str]) -> tuple[str, ...]:
 
 
 def _models_in(annotation: Any) -> list[Any]:
-    """Models that a type may mean."""
+    """Pydantic models within a type annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for inner in get_args(annotation) for model in _models_in(inner)]
@@ -340,7 +340,7 @@ def _reason(item: Any) -> str:
 
 
 def _reason_of_schema(found: object) -> str:
-    """What to do about a bench file that is not of this format, or says so in another type."""
+    """Problem and remedy for a bench file whose `schema` is wrong, or is of another type."""
     if str(found) == str(_SCHEMA):
         return f"write it without quotes: schema = {_SCHEMA} (found {found!r})"
     newer = isinstance(found, int) and found > _SCHEMA

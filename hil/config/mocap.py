@@ -33,7 +33,7 @@ class MocapConfig(DeviceConfig):
         stale_after_s: poses that come later than this are marked stale.
         stuck_after_s: bit-identical poses for longer than this are marked frozen.
         keepalive_s: time between signs of life to a unicast server.
-        reconnect_after_s: silence after which the connection is asked for again.
+        reconnect_after_s: silence after which the connection is requested again.
         open_timeout_s: longest wait for the server and the rigid body.
         fail_after_s: uninterrupted silence (or garbage) that raises.
     """

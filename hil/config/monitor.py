@@ -1,4 +1,4 @@
-"""What the monitor shows beside what the bench knows: the robot's looks (`[monitor]` of the bench file)."""
+"""Looks of the robot in the monitor (`[monitor]` of the bench file)."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def recorded_bench(
 ) -> BenchConfig:
     """The configuration that a recording carries.
 
-    Bounds and contradictions are for what is going to be driven; this has been driven.
+    Bounds and contradictions are not checked: they matter before a run, and this run is over.
 
     Args:
         tree: of its header.
@@ -47,7 +47,7 @@ def recorded_bench(
 
 
 def _other_versions(packages: Mapping[str, Any]) -> str:
-    """What a recording was made with and what is installed instead."""
+    """Versions that a recording was made with, and those installed instead, in words."""
     found: dict[str, None] = {}
     for name, recorded in packages.items():
         kind, _, model = name.partition(".")
@@ -62,7 +62,7 @@ def _other_versions(packages: Mapping[str, Any]) -> str:
 
 
 def _without_absent(tree: dict[str, Any], model: type[BenchConfig]) -> dict[str, Any]:
-    """A configuration without the kinds of devices that the bench lacked and that nothing here knows.
+    """A configuration without the kinds of devices that the bench lacked and that are unknown here.
 
     Their package was installed then, and is not now: no reason to refuse the recording.
     """

@@ -1,7 +1,7 @@
 """The robot as it is on paper: geometry, masses and forces of the wall robot (`[robot]` of the bench file).
 
-Nominal data only. What a calibration finds lives in `calibration.toml`, what the emulated robot truly
-is in `hil.fakes.plant`; the bench turns the nominal wheels into a `hil.robot.kinematics.WheelGeometry`.
+Nominal data only. Results of a calibration are in `calibration.toml`, true parameters of the emulated robot
+in `hil.fakes.plant`; the bench turns the nominal wheels into a `hil.robot.kinematics.WheelGeometry`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class RobotConfig(Strict):
 
     @property
     def weight_n(self) -> float:
-        """What the robot weighs."""
+        """Weight of the robot, N."""
         return self.mass_kg * GRAVITY_M_S2
 
     def hold_limit_rad(self) -> float | None:

@@ -1,4 +1,4 @@
-"""Where the bench is on ROS 2, and how it waits for a controller there (`[ros2]` of the bench file)."""
+"""Network of the bench on ROS 2, and its waits for a controller there (`[ros2]` of the bench file)."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class ServosConfig(DeviceConfig):
         return_delay_s: Return Delay Time that the servos are expected to have; larger is reported.
         reply_slack_s: silence beyond the computed time of a reply before it counts as lost.
         retry_budget_s: extra time that one `read` may take for lost replies and their repetition.
-        dead_poll_s: how often a servo that has fallen silent is asked again.
+        dead_poll_s: interval at which a servo that no longer answers is polled.
         fail_after_s: uninterrupted failure of a servo that raises instead of being reported as data.
         watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: without a request for so long, the
             servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
@@ -143,9 +143,9 @@ def _ram_problem(model: ServoModel, name: str, raw: int) -> str:
     """Why a bench may not have a register of a model written at open; empty where it may.
 
     Args:
-        model: whose control table counts.
+        model: of the servo, with its control table.
         name: of the register.
-        raw: the count that it shall have.
+        raw: count to write.
     """
     register = model.table.get(name)
     if register is None or name.startswith("indirect"):

@@ -71,7 +71,7 @@ def _devices(key: str, value: Any, problems: list[str]) -> Iterator[tuple[str, A
 
 
 def _on_bench(kind: str, labels: list[Any], k: int) -> str:
-    """What the device of the k-th table is called."""
+    """Name on the bench of the device of the k-th table."""
     label = labels[k]
     own = kind in KINDS and k == (labels.index(kind) if kind in labels else 0)
     return kind if own or label in (None, kind) or not may_be_twice(kinds()[kind]) else f"{kind}_{label}"
@@ -101,14 +101,14 @@ def devices_in(tree: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def meant(word: str, labels: Mapping[str, str | None]) -> str:
-    """The device of a bench that a word means: its name, one by an alias, or `KIND_NAME` of the bench's own.
+    """Find the device that a word names: by its name, by an alias, or by `KIND_NAME` of the bench's own.
 
     Args:
-        word: as a person says it.
+        word: as a person types it.
         labels: `name` in the bench file of each device, by its name on the bench.
 
     Returns:
-        Its name on the bench, or the word where it means none.
+        Its name on the bench, or the word if it names no device.
     """
     if word in labels:
         return word

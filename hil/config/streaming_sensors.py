@@ -14,7 +14,7 @@ Rate = Annotated[float, Within(0.1, 10_000.0, "samples per second")]
 
 
 class StreamConfig(DeviceConfig):
-    """When its samples come, and when it is given up.
+    """Timing of a sensor's samples, and its time-outs.
 
     Attributes:
         rate_hz: samples per second.

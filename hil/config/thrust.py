@@ -23,8 +23,8 @@ class ThrustConfig(DeviceConfig):
     """Propellers with any controller.
 
     Attributes:
-        force_n: what they are asked for on a wall; `robot.thrust_compensation` of the weight along the
-            surface when left out.
+        force_n: set-point on a wall; `robot.thrust_compensation` of the weight along the surface when left
+            out.
         full_force_n: of all propellers together at full throttle; force goes with the square of the throttle.
     """
 
@@ -49,16 +49,16 @@ class ThrustConfig(DeviceConfig):
         return self.full_force_n * throttle**2
 
     def gives_way_s(self, force_n: float, least_n: float) -> float:
-        """After which time a controller that has not understood its last command gives less than `least_n`.
+        """Time until a controller that did not understand its last command gives less than `least_n`.
 
-        A robot that has rested for so long while nothing was sent is held by what the controller does alone.
+        A robot that has rested for this time without a command is held by the controller alone.
 
         Args:
-            force_n: that it was asked for.
+            force_n: last set-point.
             least_n: that the robot needs; 0 for all that the controller may take away.
 
         Returns:
-            Time (s); `inf` where that is not known.
+            Time (s); `inf` if unknown.
         """
         return math.inf
 
@@ -69,7 +69,7 @@ class TeensyConfig(ThrustConfig):
     Attributes:
         port: device path or any pyserial URL.
         baud: of its serial line.
-        repeat_s: the throttle is sent again so often: a line that got lost does not stay lost, and after a
+        repeat_s: interval at which the throttle is sent again: the next line replaces a lost one, and after a
             restart the propellers push again before the robot slides.
         write_timeout_s: after which a port that takes nothing counts as failed.
     """
@@ -81,6 +81,6 @@ class TeensyConfig(ThrustConfig):
     write_timeout_s: Patience = 0.1
 
     def gives_way_s(self, force_n: float, least_n: float) -> float:
-        """A line that it does not understand takes the throttle down by a step every 100 ms; none goes on."""
+        """After a wrong line the throttle falls by a step every 100 ms; without lines it stays."""
         steps = math.ceil(STEPS * (self.throttle_for(force_n) - self.throttle_for(least_n)))
         return STEP_DOWN_S * max(steps, 0) + _FOLLOWS_S

@@ -23,7 +23,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from hil.support.file_reading import printable
 
 RECORDED: Mapping[str, bool] = {"recorded": True}
-"""Validation context of a configuration that something was recorded with: history stays readable."""
+"""Validation context of a recorded configuration, so that old recordings stay readable."""
 
 TOP_WHEEL_RATE_RAD_S = 7.0
 """No XH430-W210 turns faster: 62 rpm without load at 14.8 V (ROBOTIS e-manual), 67 at the 16 V it stands."""
@@ -32,7 +32,7 @@ TOP_WHEEL_RATE_RAD_S = 7.0
 class Strict(BaseModel):
     """Base of all tables: unknown keys rejected, values frozen, numbers finite and texts of one line.
 
-    No number is true, false or in quotes. Every number says its bounds (`Within`).
+    A number must not be true, false or in quotes. Every number has bounds (`Within`).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False)
@@ -58,7 +58,7 @@ def _check_plain(value: Any, meant: frozenset[Any]) -> None:
 
 
 def _parts(value: Any) -> Iterator[Any]:
-    """Values inside lists; those inside tables are other models' affair, or a table's own."""
+    """Values inside lists; tables are left out, because their own models check them."""
     if isinstance(value, (list, tuple)):
         for part in value:
             yield from _parts(part)
@@ -82,7 +82,7 @@ def _types_in(annotation: Any) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class Within:
-    """Bounds beyond which a number of the bench file cannot be meant; what was recorded passes.
+    """Plausible bounds of a number in the bench file; a recorded configuration is not checked.
 
     Attributes:
         low, high: permitted, both included; anything that is no finite number is beyond them.

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 Values = Mapping[str, str]
-"""What was filled in, by name of the field; empty fields are left out."""
+"""Filled-in values by name of the field; empty fields are left out."""
 
 
 @dataclass(frozen=True)
@@ -16,14 +16,14 @@ class Field:
 
     Attributes:
         name: as on the command line: an option (`--seed`), an argument, or a parameter of a procedure.
-        title: the same for people, without the unit.
-        kind: how it is filled in; `flag` is `true` or left out.
-        default: as text; shown, and left to the command.
+        title: name for people, without the unit.
+        kind: type of input; `flag` is `true` or left out.
+        default: as text; shown only, because the command applies it.
         help: a sentence.
         unit: for people.
         low, high: of a number; `low_open` where `low` itself is not allowed.
-        choices: of a choice; of a text what may be meant.
-        more: whether it is folded away at first.
+        choices: options of a choice; suggestions for a text.
+        more: whether it is collapsed at first.
     """
 
     name: str
@@ -41,15 +41,15 @@ class Field:
 
 @dataclass(frozen=True)
 class Action:
-    """Something that can be started.
+    """A command or procedure that the page can start.
 
     Attributes:
         name: unique.
         group: heading that it stands below.
         summary: a sentence.
         fields: of its form.
-        words: of the command, after `hil`, from what was filled in.
-        problems: what is wrong with what was filled in, by name of the field, empty text for all of it.
+        words: makes the words of the command, after `hil`, from the filled-in values.
+        problems: errors in the filled-in values by name of the field; an empty name means the whole form.
     """
 
     name: str
@@ -60,6 +60,6 @@ class Action:
     problems: Callable[[Values], dict[str, str]]
 
     def to_json(self) -> dict[str, Any]:
-        """As the page gets it."""
+        """The action without its functions, as the page receives it."""
         reported = {"name": self.name, "group": self.group, "summary": self.summary}
         return reported | {"fields": [asdict(field) for field in self.fields]}

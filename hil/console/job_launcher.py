@@ -1,6 +1,6 @@
-"""`python -m hil.console.job_launcher FOLDER`: says its process number, then becomes the command of that job.
+"""`python -m hil.console.job_launcher FOLDER`: records its PID, then becomes the command of that job.
 
-The process is on record before it touches a device: the stop server knows it, also when the page that
+The process is recorded before it touches a device, so that the stop server can stop it even if the page that
 started it is gone.
 """
 

@@ -1,8 +1,8 @@
 """Stops whatever the console has started, by the signals that a terminal sends; standard library alone.
 
-SIGINT first, as Ctrl-C, which every command knows; then SIGTERM, which a procedure takes in the middle of a
-step. Both end in wheels at rest, steering held and torque on. SIGKILL is never sent: it would leave the robot
-to the watchdogs of its servos.
+SIGINT first, as Ctrl-C, which every command handles; then SIGTERM, which ends a procedure in the middle of a
+step. Both end in wheels at rest, steering held and torque on. SIGKILL is never sent: then only the watchdogs
+of its servos would stop the robot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def stop_all(root: Path) -> list[Job]:
     """
     asked = [job for job in jobs(root, _MOST) if alive(job)]
     for job in asked:
-        with suppress(OSError):  # a full disk does not keep anything from stopping
+        with suppress(OSError):  # a full disk must not prevent stopping
             (job.folder / STOPPED).write_text(json.dumps({"when": time.time()}), encoding="utf-8")
         send(job, signal.SIGINT)
     until_s = time.monotonic() + _GRACE_S
@@ -42,10 +42,10 @@ def stop_all(root: Path) -> list[Job]:
 
 
 def finish(job: Job) -> str:
-    """Ask one job to end after its step, as one Ctrl-C does, and once: a second one would end it at once.
+    """End one job after its step, as one Ctrl-C does. Never twice: a second SIGINT would end it at once.
 
     Returns:
-        Why it was not asked, in words; empty if it was.
+        Why no signal was sent, in words; empty if it was sent.
 
     Raises:
         OSError: the folder of the job cannot be written.
@@ -63,8 +63,8 @@ def wait_for(asked: Sequence[Job], limit_s: float) -> list[dict[str, Any]]:
     """The states of jobs once all have ended, or when time is up.
 
     Args:
-        asked: to wait for.
-        limit_s: of the clock on the wall.
+        asked: jobs to wait for.
+        limit_s: longest wait.
     """
     until_s = time.monotonic() + limit_s
     while time.monotonic() < until_s and any(map(alive, asked)):
@@ -73,7 +73,7 @@ def wait_for(asked: Sequence[Job], limit_s: float) -> list[dict[str, Any]]:
 
 
 def in_words(ended: dict[str, Any]) -> str:
-    """One line of how a job that was stopped has left the robot."""
+    """One line on how a stopped job left the robot."""
     if ended["running"]:
         return f"{ended['title']}: still stopping; secure the robot"
     held = ended.get("held")

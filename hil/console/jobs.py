@@ -1,18 +1,18 @@
 """Starts, lists, reads, answers and stops the commands of the console; standard library alone.
 
-All there is to know of a job lies in its folder, so that any process of the console, also one that was
-started later, can read it, answer it and stop it:
+The folder of a job holds its whole state, so that any process of the console, also one that was started
+later, can read it, answer it and stop it:
 
     command.json  words after `hil`, title, when
     process.json  PID, start time and boot of the process, written by itself before it becomes `hil`
-    stdin         a pipe with a name; the process keeps its writing end too, so that it never closes
+    stdin         a named pipe; the process keeps its writing end open, too, so that it never closes
     stdout        one JSON object at the end
     stderr        progress, questions and figures as JSON objects, and messages, a line each
-    answer-N      the question that begins at byte N of stderr has got its answer
-    finish        it was asked to end after its step
+    answer-N      exists once the question that begins at byte N of stderr is answered
+    finish        exists once the job was asked to end after its step
 
-A process is signalled only while it is the one that wrote process.json: a number that was given to another
-process since is not.
+A process is signalled only if it is the one that wrote process.json: another process that has its PID since
+then is not.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
 NO_RESULT = "ENDED"
 """Verdict of a job that left no result."""
 _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
-"""What a line of standard error may be about, and what it then holds."""
+"""Keys of a JSON line on standard error, with the type of the value."""
 _BY_ITSELF = ("duration", "trajectory")
-"""Why a live loop ends that was not stopped."""
+"""Reasons for which a live loop ends without being stopped."""
 _TAIL_BYTES = 1 << 17
 _MOST_SHOWN = 30
 _STOPPING_S = 2.0
-"""After STOP, within which what was being asked is asked no more."""
+"""Time after STOP within which no question is answered."""
 _START_S = 20.0
-"""Within which a job that was started has written its process.json."""
+"""A job counts as running for this time after its start, before it has written its process.json."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A job by its folder.
+    """A job, identified by its folder.
 
     Attributes:
-        folder: where all of it lies.
+        folder: of its files.
         words: of the command, after `hil`.
         title: for people.
         started: seconds since the epoch.
@@ -103,7 +103,7 @@ def detached(module: str, folder: Path) -> None:
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    threading.Thread(target=process.wait, daemon=True).start()  # so that nothing of it is left when it ends
+    threading.Thread(target=process.wait, daemon=True).start()  # leaves no zombie when it ends
 
 
 def jobs(root: Path, most: int = 12) -> list[Job]:
@@ -129,7 +129,7 @@ def job_in(folder: Path) -> Job | None:
 
 
 def identity(pid: int) -> dict[str, Any]:
-    """What identifies a process: PID, when it started, since which boot. Empty once it is gone."""
+    """Identity of a process: PID, start time and boot. Empty once it is gone."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -139,13 +139,13 @@ def identity(pid: int) -> dict[str, Any]:
 
 
 def same(process: Mapping[str, Any]) -> bool:
-    """Whether the process that a file names is still running, and is that one."""
+    """Whether a process of this identity is running."""
     pid = process.get("pid")
     return isinstance(pid, int) and pid > 0 and identity(pid) == dict(process)
 
 
 def alive(job: Job) -> bool:
-    """Whether it runs, or is just about to."""
+    """Whether a job runs, or is about to start."""
     reported = read(job.folder / PROCESS)
     if reported:
         return same(reported)
@@ -153,12 +153,12 @@ def alive(job: Job) -> bool:
 
 
 def send(job: Job, number: int) -> bool:
-    """Send a signal to the process of a job, and to no other; returns whether it was there."""
+    """Send a signal to the process of a job, and to no other; returns whether the process exists."""
     return signal_process(read(job.folder / PROCESS), number)
 
 
 def signal_process(process: Mapping[str, Any], number: int) -> bool:
-    """Send a signal to the process that a file names, and to no other; returns whether it was there."""
+    """Send a signal to the process of this identity, and to no other; returns whether it exists."""
     if not same(process):
         return False
     try:
@@ -177,15 +177,15 @@ def signal_process(process: Mapping[str, Any], number: int) -> bool:
 
 
 def answer(job: Job, question_id: int, text: str) -> str:
-    """Answer the question that a job asks now, once: a second answer never becomes that of the next question.
+    """Answer the current question of a job, once: a second answer is never used for the next question.
 
     Args:
-        job: that asks.
+        job: with the question.
         question_id: of the question, as `state` gives it.
         text: of the answer; becomes one line, shorter than `PIPE_BUF` in bytes of UTF-8.
 
     Returns:
-        Why it was not taken, in words; empty if it was.
+        Why the answer was rejected, in words; empty if it was accepted.
 
     Raises:
         OSError: the folder of the job cannot be written.
@@ -209,7 +209,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
 
 
 def first(claim: Path) -> bool:
-    """Make an empty file; returns whether it is new, also against other processes. Raises `OSError`."""
+    """Create an empty file atomically; returns whether it did not exist before. Raises `OSError`."""
     try:
         os.close(os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
     except FileExistsError:
@@ -218,7 +218,7 @@ def first(claim: Path) -> bool:
 
 
 def _put(job: Job, line: bytes) -> bool:
-    """Write a line to the standard input of a job, whole or not at all; returns whether it took it."""
+    """Write a line to the standard input of a job, whole or not at all; returns whether it was written."""
     try:
         pipe = os.open(job.folder / STDIN, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
@@ -236,7 +236,7 @@ def state(job: Job) -> dict[str, Any]:
     """What a page shows of a job: progress, question, figures, messages, how it ended. Plain values.
 
     `question_id` identifies the question among those of the job: it is the byte at which it begins in
-    `stderr`. A question that has got its answer is none any more.
+    `stderr`. An answered question is left out.
     """
     running = alive(job)
     reported: dict[str, Any] = {
@@ -265,7 +265,7 @@ def state(job: Job) -> dict[str, Any]:
 
 
 def _take(shown: dict[str, Any], place: int, line: str) -> None:
-    """One line of standard error, which begins at that byte."""
+    """Add a line of standard error, which begins at byte `place`, to the state `shown`."""
     try:
         ((kind, data),) = json.loads(line).items()
         fits = isinstance(data, _HOLDS[kind])
@@ -288,7 +288,7 @@ def _take(shown: dict[str, Any], place: int, line: str) -> None:
 
 
 def _end(job: Job, shown: Mapping[str, Any]) -> dict[str, Any]:
-    """How a job ended, from the one object that it wrote."""
+    """How a job ended, from the JSON object on its standard output."""
     result = read(job.folder / STDOUT)
     error = result.get("error")
     if result and "verdict" not in result and isinstance(error, dict):
@@ -310,7 +310,7 @@ def _end(job: Job, shown: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _why(result: Mapping[str, Any]) -> str:
-    """Why a command ended as it did that met no error: of acceptance, commissioning or the live loop."""
+    """Why a command without an error ended: of acceptance, commissioning or the live loop."""
     stages, stopped = result.get("stages"), result.get("stopped")
     if isinstance(stopped, dict):
         return f"{stopped.get('procedure')}: {stopped.get('why')}"
@@ -322,7 +322,7 @@ def _why(result: Mapping[str, Any]) -> str:
 
 
 def _judged(result: Mapping[str, Any]) -> str:
-    """Verdict of a command that gives none: of doctor, or of the live loop, which says why it ended."""
+    """Verdict for a result without one: of doctor, or of the live loop, from the reason of its end."""
     if "ok" in result:
         return "PASS" if result["ok"] else "FAIL"
     ended = str(result.get("ended", _BY_ITSELF[0]))
@@ -340,5 +340,5 @@ def _tail(path: Path) -> list[tuple[int, str]]:
         return []
     places = accumulate(map(len, lines), initial=begin)
     texts = (line.decode("utf-8", "replace").rstrip("\r\n") for line in lines)
-    reported = list(zip(places, texts, strict=False))  # the place behind the last line is that of none
+    reported = list(zip(places, texts, strict=False))  # the last place is behind the last line
     return [(place, text) for place, text in reported[begin > 0 :] if text.strip()]

@@ -30,7 +30,7 @@ def is_private(path: Path) -> bool:
 
 
 def put_private(path: Path, tree: object) -> None:
-    """Have a JSON file appear at once that only its owner can read; raises `OSError`."""
+    """Write a JSON file atomically, readable by its owner only; raises `OSError`."""
     partial = path.with_name(path.name + ".part")
     with suppress(FileNotFoundError):
         partial.unlink()

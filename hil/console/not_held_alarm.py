@@ -1,10 +1,11 @@
 """The alarm for robots that jobs of the console left NOT HELD; it stays until reset. Standard library only.
 
-It is read from the folders of the jobs, so that it is the same after a reload or a restart. A later job takes
-it away only where it was on the same bench and has found the robot held: one that opened no device, or only
-examined the devices, has not looked. A person can also reset it, by saying that the robot is secured.
+It is computed from the folders of the jobs, so that it survives a reload or a restart. A later job resets it
+only if it ran on the same bench and found the robot held; a job that opened no device, or only examined the
+devices, does not. A person can also reset it by confirming that the robot is secured.
 
-An emulated world ends with its run; its alarm goes in these two ways, and says that the robot was emulated.
+The alarm of an emulated robot says that it was emulated, and is reset in the same two ways, although its
+world ended with the run.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _BENCH, _EMULATE = "--bench=", "--emulate="
 
 
 class Alarm:
-    """The robots that are not known to be held, of one console.
+    """Alarm of one console: the robots that are not known to be held.
 
     Args:
         folder: of the console.
@@ -47,7 +48,7 @@ class Alarm:
         return list(left.values())
 
     def _latest_first(self) -> Iterator[Job]:
-        """All jobs; what does not change of them is read once."""
+        """All jobs, the latest first; the data of a job that cannot change are read once."""
         for folder in job_folders(self._folder / "jobs"):
             job = self._jobs.get(folder) or job_in(folder)
             self._jobs[folder] = job
@@ -60,7 +61,7 @@ class Alarm:
             reported = state(job)
             if reported["running"]:
                 return {}
-            if not (job.folder / PROCESS).exists():  # it may yet begin
+            if not (job.folder / PROCESS).exists():  # it may still start
                 return reported
             self._ended[job] = reported
         return self._ended[job]

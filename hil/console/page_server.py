@@ -1,7 +1,7 @@
 """Serves the console's page: commands, running jobs, devices, history. It touches no device.
 
 Everything that moves is an ordinary command in a process of its own (`hil.console.jobs`). So this process may
-be killed, started again, or asked anything at any time.
+be killed or started again at any time, and may receive any request.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SANDBOX = {
     "Content-Security-Policy": "sandbox allow-scripts allow-popups allow-downloads; default-src 'none'; "
     "img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'"
 }
-"""Pages of results may come from anywhere: they run without the rights of this console, and reach nothing."""
+"""Pages of results may come from anywhere: they are sandboxed, without rights of this console or network."""
 _KINDS = {
     ".html": "text/html; charset=utf-8",
     ".svg": "image/svg+xml",
@@ -49,7 +49,7 @@ _KINDS = {
 }
 
 _PLACES = ("port", "channel", "server", "address", "serial")
-"""Keys of the bench file that say where a device is."""
+"""Keys of the bench file for the address of a device."""
 
 
 def policy(stop_port: int) -> str:
@@ -66,7 +66,7 @@ class PageProcess:
         results: folder of results.
         actions: what can be started.
         benches: names to choose from.
-        bench: to be used unless another is filled in; None for the own one of each command.
+        bench: default of the forms; None for the default of each command.
     """
 
     def __init__(
@@ -86,12 +86,12 @@ class PageProcess:
 
     @cached_property
     def _actions(self) -> dict[str, Action]:
-        """Made when a browser first asks: reading all procedures takes a while."""
+        """Actions by name, made at the first request, because reading all procedures takes a while."""
         with self._reading:
             return self.__dict__.get("_actions") or {action.name: action for action in self._make_actions()}
 
     def routes(self) -> dict[tuple[str, str], Route]:
-        """By method and path."""
+        """Routes by method and path."""
         pages: dict[tuple[str, str], Route] = {
             ("GET", "/"): lambda _: asset("console.html"),
             ("GET", "/console.js"): lambda _: asset("console.js"),
@@ -129,7 +129,7 @@ class PageProcess:
         return as_json({"jobs": [self._job(job) for job in jobs.jobs(self._jobs, _SHOWN_JOBS)]})
 
     def _job(self, job: jobs.Job) -> dict[str, Any]:
-        """State of a job; that of one that has ended is kept, because it changes no more."""
+        """State of a job; the state of an ended job is cached, because it no longer changes."""
         if job.name not in self._ended:
             state = jobs.state(job)
             if state["running"]:
@@ -229,7 +229,7 @@ class PageProcess:
         return _elsewhere(PAGES + quote(page_of(kept).relative_to(self._results).as_posix()))
 
     def _file(self, request: Request) -> Reply:
-        """A file of the folder of results, but for what is the console's own or hidden."""
+        """A file of the results folder, except hidden files and the console's own."""
         root, name = self._results.resolve(), request.path.removeprefix(PAGES)
         try:
             path = (root / name).resolve()
@@ -257,7 +257,7 @@ def _elsewhere(place: str) -> Reply:
 
 
 def _with_errors(route: Route) -> Route:
-    """A route whose errors on purpose are answered in a sentence."""
+    """Wrap a route: an expected error becomes a reply with a status and a sentence."""
 
     def answered(request: Request) -> Reply:
         try:

@@ -1,7 +1,7 @@
 """`python -m hil.console.stop_server FOLDER`: serves the STOP button, and outlives the page.
 
-It starts before the page and shares nothing with it but a folder of files. What a browser opens is its page:
-the button, and the console in a frame below. When the page's process is dead, the button is still there,
+It starts before the page and shares nothing with it but a folder of files. A browser opens the page of this
+server: the button, and the console in a frame below. When the page's process is dead, the button still works,
 also after a reload. It is small and needs the standard library alone, so that little can go wrong in it.
 
 It ends with the console; when the console was killed, ten minutes after the last job, or at once by
@@ -39,19 +39,19 @@ _END_S = 10.0
 
 
 def asset(name: str) -> Reply:
-    """A file of the pages."""
+    """Reply with a file of the folder `pages`."""
     kinds = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
     content = (resources.files("hil.console") / "pages" / name).read_bytes()
     return Reply(content, f"{kinds[name.rpartition('.')[2]]}; charset=utf-8")
 
 
 def runs(process: dict[str, Any]) -> bool:
-    """Whether the process that such a file names is running."""
+    """Whether the process in the content of such a file is running."""
     return jobs.same({key: process.get(key) for key in IDENTITY})
 
 
 def end_without_page(folder: Path) -> bool:
-    """End the process with the button where the page has died and nothing runs; returns whether it did.
+    """End the process with the button if the page has died and no job runs; returns whether it has ended.
 
     Args:
         folder: of the console.
@@ -67,7 +67,7 @@ def end_without_page(folder: Path) -> bool:
 
 
 class StopProcess:
-    """Routes of the page with the button, and when to end.
+    """Routes of the page with the button; decides when its server ends.
 
     Args:
         folder: of the console.
@@ -78,7 +78,7 @@ class StopProcess:
         self._alarm, self._asking = Alarm(folder), threading.Lock()
 
     def routes(self) -> dict[tuple[str, str], Route]:
-        """By method and path."""
+        """Routes by method and path."""
         return {
             ("GET", "/"): lambda _: asset("stop.html"),
             ("GET", "/stop.js"): lambda _: asset("stop.js"),
@@ -93,7 +93,7 @@ class StopProcess:
         return as_json({"asked": [job.title for job in asked]})
 
     def _secured(self, request: Request) -> Reply:
-        """A person says that the robots are secured that these jobs left; of later ones it says nothing."""
+        """Note that a person has secured the robots that these jobs left; later jobs are not covered."""
         names = request.body.get("jobs")
         if not isinstance(names, list):
             raise Refused(HTTPStatus.BAD_REQUEST, "expected the names of jobs")
@@ -128,7 +128,7 @@ class StopProcess:
             if runs(page) or any(map(jobs.alive, jobs.jobs(self._folder / "jobs"))):
                 needed_s = time.monotonic()
             elif page.get("ended") or (not page and time.monotonic() - begun_s > _START_S):
-                break  # in order; or it never began
+                break  # an orderly end, or the page never started
             elif time.monotonic() - needed_s > _LINGER_S:
                 break
             time.sleep(_LOOK_S)

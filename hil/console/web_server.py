@@ -23,7 +23,7 @@ _TIMEOUT_S = 30.0
 
 
 class Refused(Exception):
-    """A request that is answered with a status and a sentence."""
+    """Error that is answered with an HTTP status and a sentence."""
 
     def __init__(self, status: HTTPStatus, text: str) -> None:
         self.status = status
@@ -32,7 +32,7 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Request:
-    """What a browser asks for: path without query, decoded; query; JSON body of a POST; name of the host."""
+    """An HTTP request: path without query, decoded; query; JSON body of a POST; name of the host."""
 
     path: str
     query: Mapping[str, str]
@@ -83,11 +83,11 @@ class Server(ThreadingHTTPServer):
 
     @property
     def port(self) -> int:
-        """On which it listens."""
+        """Port on which it listens."""
         return int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that went away is nothing to tell."""
+        """Print nothing: usually the browser has closed the connection."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -161,7 +161,7 @@ class _Handler(BaseHTTPRequestHandler):
         return hmac.compare_digest(token.encode(), self.server.token.encode())
 
     def _cookie(self) -> str:
-        """The token as the browser sends it, or a program in `Authorization: Bearer`."""
+        """The token of a browser's cookie, or of a program's header `Authorization: Bearer`."""
         bearer = self.headers.get("Authorization", "").removeprefix("Bearer ")
         pairs = (part.strip().partition("=") for part in self.headers.get("Cookie", "").split(";"))
         return next((value for name, _, value in pairs if name == self.server.cookie), bearer)
@@ -189,10 +189,10 @@ class _Handler(BaseHTTPRequestHandler):
         return tree
 
     def _refusal(self, status: HTTPStatus, text: str) -> Reply:
-        """A sentence, as text where a person goes to an address."""
+        """Reply with a sentence: plain text for a browser that opens an address, else JSON."""
         if "text/html" in self.headers.get("Accept", ""):
             return Reply(f"{text}\n".encode(), "text/plain; charset=utf-8", status)
         return as_json({"error": text}, status)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nothing: the terminal is for what matters."""
+        """Print nothing: the terminal is for important messages."""

@@ -21,9 +21,9 @@ from hil.support.script_file import run_file
 MOST_WAYPOINTS = 10_000
 _MOST_BYTES = 16 << 20
 _FARTHEST = 1000.0
-"""What a coordinate may be, m or rad: further than the longest motion goes."""
+"""Largest size of a coordinate, m or rad: beyond the longest motion."""
 _SAME = 1e-6
-"""Nothing drives a way of a micrometre, or turns by a microradian."""
+"""Waypoints that differ by less, m and rad, count as equal."""
 
 
 def read_waypoints(path: Path) -> list[Array]:
@@ -50,7 +50,7 @@ def read_waypoints(path: Path) -> list[Array]:
 
 
 def _check(path: Path, found: list[tuple[int, list[float]]]) -> None:
-    """Refuse what cannot be driven through, naming the line of the file."""
+    """Refuse waypoints that cannot be driven through; the error names the line of the file."""
     if len(found) > MOST_WAYPOINTS:
         raise DataError(
             str(path),
@@ -86,9 +86,9 @@ _THERE_M, _THERE_RAD = 0.005, 0.01
 def load_trajectory(
     path: Path, check: Callable[[Trajectory], None]
 ) -> tuple[MakeTrajectory, Trajectory | None]:
-    """How to make the reference from the pose (3,) where the robot stands, and what of it is known to hold.
+    """Load a function that makes the trajectory from the robot's pose (3,), and the part already checked.
 
-    What can be checked before that is known is checked here: the way from the first waypoint on.
+    The path from the first waypoint on does not depend on that pose, so it is checked here.
 
     Args:
         path: `.csv` with the header `x,y,theta` (wall frame; the robot first drives straight to the
@@ -96,11 +96,11 @@ def load_trajectory(
         check: refuses what the robot cannot follow, as `BenchModel.check` does.
 
     Returns:
-        The maker, and the way with whose segments its trajectories end, checked; None for a script.
+        The function, and the checked path with whose segments its trajectories end; None for a script.
 
     Raises:
         ConfigError: a script that cannot be loaded.
-        DataError: no such waypoints.
+        DataError: the file holds no usable waypoints.
         TrajectoryError: the robot cannot drive through them.
         UsageError: another kind of file, or a script that cannot be used.
     """
@@ -115,7 +115,7 @@ def load_trajectory(
 
 
 def _from_here(pose: Array, waypoints: list[Array], way: Trajectory, name: str) -> Trajectory:
-    """The way after a line to its first waypoint, or to its second where the robot is at the first."""
+    """The path after a line to its first waypoint, or to its second if the robot is at the first."""
     gap = waypoints[0] - pose
     reached = int(np.hypot(gap[0], gap[1]) < _THERE_M and abs(gap[2]) < _THERE_RAD)
     first = through([pose, waypoints[reached]])

@@ -1,4 +1,4 @@
-"""A program on ROS 2 in a live session: waited for until it publishes; what it sends decides how it drives.
+"""A ROS 2 program in a live session: waits until it publishes; its message type decides how it drives.
 
 Joint commands drive the wheels. Velocities move the reference of the bench's own control law; where a
 trajectory is to be followed, they drive the wheels, too. A publisher that is missing, sends nothing, or is
@@ -28,11 +28,11 @@ from hil.ros2.publishers import Publisher
 LOG = logging.getLogger(__name__)
 _PATIENCE_S = 5
 _NONE = 0
-"""Handle of no publisher."""
+"""Handle that stands for a missing publisher."""
 
 
 class PublisherWatch:
-    """Warns once of each.
+    """Warns once of each publisher that is missing, silent or gone.
 
     Args:
         topic: from which the commands come.
@@ -48,10 +48,10 @@ class PublisherWatch:
         self._warned: set[int] = set()
 
     def look(self, t_ns: int) -> None:
-        """Look which publishers are there.
+        """Check the publishers; to be called in every cycle.
 
         Args:
-            t_ns: now, bench clock; of every cycle.
+            t_ns: now, bench clock.
         """
         found = self._topic.publishers()
         if found != self._known.keys():
@@ -67,7 +67,7 @@ class PublisherWatch:
                 LOG.warning("no command within %d s: %s", _PATIENCE_S, why)
 
     def _changed(self) -> None:
-        """Note which are there now, and warn of those that are gone."""
+        """Store the current publishers, and warn of those that are gone."""
         now = {one.handle: one for one in self._topic.described()}
         for handle in self._known.keys() - now.keys():
             self.lost += 1
@@ -78,11 +78,11 @@ class PublisherWatch:
 
 
 class TwistCommands(CommandLines):
-    """Commands of the one publisher of a topic.
+    """Velocity commands of the only publisher of a topic.
 
     Args:
-        topic: messages of either type are taken.
-        watch: of its publishers.
+        topic: may carry messages of either velocity type.
+        watch: of the publishers of the topic.
     """
 
     def __init__(self, topic: CommandTopic, watch: PublisherWatch) -> None:
@@ -92,7 +92,7 @@ class TwistCommands(CommandLines):
         """Commands that have arrived since the last call, oldest first; never blocks.
 
         Raises:
-            SafetyStop: two publishers, or a command that the robot cannot mean.
+            SafetyStop: two publishers, or an invalid command.
         """
         if len(self._topic.publishers()) > 1:
             raise SafetyStop(PUBLISHERS, self._topic.why_several())
@@ -101,11 +101,11 @@ class TwistCommands(CommandLines):
         return lines
 
     def counts(self) -> Mapping[str, int]:
-        """Messages that were taken, and publishers that are gone."""
+        """Numbers of received messages, and of publishers that are gone."""
         return {"messages": self._taken, "publishers_lost": self._watch.lost}
 
     def close(self) -> None:
-        """The topic is closed by its owner."""
+        """Do nothing: the owner of the topic closes it."""
 
     def _line(self, command: ExternalCommand) -> str:
         if command.kind != "twist":
@@ -118,10 +118,10 @@ class TwistCommands(CommandLines):
 
 
 class Ros2Program:
-    """The program that drives a bench.
+    """The ROS 2 program that drives a bench.
 
     Args:
-        publisher: the bench is open, and published by it.
+        publisher: publishes the open bench.
         name: of the controller, `ros2:TOPIC`.
     """
 
@@ -133,7 +133,7 @@ class Ros2Program:
         self.where = self._topic.where
 
     def found(self) -> bool:
-        """Whether something publishes its topic now."""
+        """Whether there is a publisher of its topic now."""
         return bool(self._topic.publishers())
 
     def sends_joints(self) -> bool:
@@ -141,29 +141,29 @@ class Ros2Program:
         return JOINTS in self._topic.types()
 
     def velocities(self) -> TwistCommands:
-        """Its velocity commands."""
+        """The velocity commands of the program."""
         return TwistCommands(self._topic, self._watch)
 
     def counts(self) -> Mapping[str, int]:
-        """Cycles that it was asked in, and those that it answered in time."""
+        """Numbers of cycles that were shown to it, and of those that it answered in time."""
         exchange = self._publisher.exchange
         return {} if exchange is None else {"cycles": exchange.cycles, "answered_in_time": exchange.answered}
 
     def look(self, t_ns: int) -> None:
-        """Warn of a publisher that is missing, sends nothing, or is gone.
+        """Warn of a publisher that is missing, sends nothing, or is gone; to be called in every cycle.
 
         Args:
-            t_ns: now, bench clock; of every cycle.
+            t_ns: now, bench clock.
         """
         self._watch.look(t_ns)
 
     def wait(self, bench: Bench, start: RunStart, over: Until) -> None:
-        """Rest until it publishes.
+        """Keep the robot at rest until the program publishes.
 
         Args:
             bench: open.
             start: where the robot stands.
-            over: whether to wait no longer.
+            over: returns whether to stop waiting.
         """
 
         def until(record: CycleRecord) -> bool:

@@ -45,8 +45,8 @@ class SampleCount:
     """Samples of one device.
 
     Attributes:
-        received: all of them; `bad` by status, of those in which any channel is not OK.
-        missing: numbers that the source has given and that never came.
+        received: number of samples; `bad` counts, by status, those with a channel that is not OK.
+        missing: sequence numbers that were skipped: lost samples.
     """
 
     received: int = 0
@@ -65,12 +65,12 @@ class SampleCount:
             self.bad[status.value] += 1
 
     def to_json(self) -> dict[str, object]:
-        """As plain data."""
+        """The counts as plain data."""
         return {"received": self.received, "missing": self.missing, "bad": dict(self.bad)}
 
 
 class SampleCounter(Sink):
-    """Sink that counts."""
+    """Sink that counts the samples of each device."""
 
     def __init__(self) -> None:
         self.counts: defaultdict[str, SampleCount] = defaultdict(SampleCount)
@@ -85,7 +85,7 @@ class SampleCounter(Sink):
         """Do nothing: there is nothing to close."""
 
     def to_json(self) -> dict[str, dict[str, object]]:
-        """As plain data, by device."""
+        """The counts as plain data, by device."""
         return {name: count.to_json() for name, count in self.counts.items()}
 
 
@@ -98,14 +98,14 @@ class LivePlan:
     """What a session does.
 
     Attributes:
-        trajectory: gives the reference from the pose at which the robot stands; `commands` to obey
-            instead; neither only watches.
-        program: on ROS 2, that drives; along the trajectory, if there is one.
+        trajectory: makes the reference from the robot's pose; `commands`: velocity commands to follow
+            instead. With neither the session only watches.
+        program: ROS 2 program that drives, along the trajectory if there is one.
         duration_s: when it ends; at the trajectory's end, or never, when None.
         feedback: estimator in the loop; `observers` run beside it.
         dead_man_s: age at which a velocity command counts as `stop`.
-        known: what the bench's limits are known to allow; segments of it at the end of the trajectory are not
-            checked again while the robot waits.
+        known: path that is known to keep the bench's limits; its segments at the end of the trajectory are
+            not checked again while the robot waits.
     """
 
     trajectory: MakeTrajectory | None = None
@@ -119,13 +119,13 @@ class LivePlan:
 
 
 class LiveSession:
-    """Runs a plan on a bench; to be made before the bench is entered, because loading code takes time.
+    """Runs a plan on a bench; create it before entering the bench, because loading code takes time.
 
     Args:
         bench: devices, clock, sinks; warmed up here.
         plan: what to do.
-        recorder: reported on in the summary; also a sink of the bench.
-        monitor: shown what is going to be followed; also a sink of the bench.
+        recorder: for the summary; also a sink of the bench.
+        monitor: shows the path to follow; also a sink of the bench.
         stop: signals as noted by the caller that opens and closes the bench; its own by default.
 
     Attributes:
@@ -155,7 +155,7 @@ class LiveSession:
         here = np.array(bench.config.environment.start_pose, dtype=np.float64)
         standing = _standing(here) if self._moving else None
         warm_up(self._pipeline(standing), self.bench.start_state(here))
-        if bench.driven_by is not None:  # it may yet move the reference only
+        if bench.driven_by is not None:  # it may turn out to send velocities, which only move the reference
             program, bench.driven_by = bench.driven_by, None
             warm_up(self._pipeline(standing), self.bench.start_state(here))
             bench.driven_by = program
@@ -262,7 +262,7 @@ class LiveSession:
         )
 
     def _trajectory(self, pose: Array) -> Trajectory:
-        """What to follow, checked; for velocity commands the pose itself, from which they lead away."""
+        """The checked trajectory to follow; for velocity commands one that stays at the start pose."""
         if self.plan.trajectory is None:
             return _standing(pose)
         trajectory = self.plan.trajectory(pose)
@@ -310,9 +310,9 @@ class LiveSession:
         """The condition that ends the loop; notes the latest record and why it ended.
 
         Args:
-            waited_ns: by how much the end is later.
-            reason: why it ends by itself.
-            length_s: when, from the first cycle on; None for never.
+            waited_ns: returns by how much the end is delayed.
+            reason: of an end after `length_s`.
+            length_s: duration from the first cycle on; None for no end.
         """
 
         def over(record: CycleRecord) -> bool:

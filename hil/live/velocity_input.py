@@ -3,8 +3,8 @@
     v VX VY W     body velocity: m/s ahead, m/s to the left, rad/s counter-clockwise
     stop          at rest, at once
 
-The loop asks for what has arrived; nothing here blocks and no thread is needed. A sender that wants the
-robot to move repeats its command before the dead-man time-out (`hil.live.velocity_reference`).
+The loop polls for lines that have arrived; nothing here blocks and no thread is needed. To keep the robot
+moving, a sender repeats its command before the dead-man time-out (`hil.live.velocity_reference`).
 
 Any user of this host can send to a port of it, so a datagram has to begin with a token that only the
 operator knows.
@@ -59,7 +59,7 @@ def parse_command(line: str) -> tuple[float, float, float]:
 
 
 class CommandLines(Protocol):
-    """Where lines come from."""
+    """Source of command lines."""
 
     where: str
 
@@ -69,11 +69,11 @@ class CommandLines(Protocol):
 
     @abstractmethod
     def counts(self) -> Mapping[str, int]:
-        """What was not passed on, by reason, for the summary."""
+        """Numbers of discarded messages or lines, by reason, for the summary."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go. Idempotent."""
+        """Close the source. Idempotent."""
 
 
 def command_token() -> str:
@@ -104,7 +104,7 @@ class UdpLines(CommandLines):
     Attributes:
         port: the port in use.
         strangers: datagrams without the token.
-        dropped: lines passed over because too many came at once; the newest are kept.
+        dropped: lines dropped because too many arrived at once; the newest are kept.
 
     Raises:
         UsageError: the port is taken.
@@ -126,7 +126,7 @@ class UdpLines(CommandLines):
         self.where = f"udp:{self.port}"
 
     def pending(self) -> list[str]:
-        """Lines of the datagrams that wait; the rest of a flood waits for the next cycle."""
+        """Lines of the waiting datagrams, up to a limit; the rest stays for the next cycle."""
         lines: list[str] = []
         for _ in range(_DATAGRAMS_PER_CYCLE):
             try:
@@ -166,7 +166,7 @@ class StdinLines(CommandLines):
         self._descriptor, self._rest, self._ended = descriptor, b"", False
 
     def pending(self) -> list[str]:
-        """Whole lines; a line without an end waits for it."""
+        """Complete lines; an incomplete one stays buffered until its end arrives."""
         if self._ended or not select.select([self._descriptor], [], [], 0.0)[0]:
             return []
         data = os.read(self._descriptor, _CHUNK)
@@ -182,7 +182,7 @@ class StdinLines(CommandLines):
         return {}
 
     def close(self) -> None:
-        """Standard input is not ours to close."""
+        """Do nothing: standard input stays open."""
 
 
 def open_commands(spec: str) -> CommandLines | None:

@@ -1,8 +1,8 @@
 """A reference that follows velocity commands: bounded, ramped, at rest when commands stop.
 
-The reference is a pose that moves with the commanded velocity, so that the controller also takes out
-what the wall does to the robot. It is a function of the lines that have come in and of the times at
-which it is asked; it goes into every cycle record, where replay finds it.
+The reference is a pose that moves with the commanded velocity, so that the controller also corrects
+disturbances by the wall. It depends only on the received lines and on the times at which it is called.
+Every cycle record contains it, and replay reads it from there.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ class VelocityReference:
     """Reference by seconds since the first cycle; to be called once per cycle.
 
     Args:
-        lines: where commands come from.
+        lines: source of the commands.
         start_pose: (3,) pose from which the reference moves.
         projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
-        limits: wheel speed and acceleration that no command exceeds, and where the reference may go.
+        limits: of wheel speed and acceleration, heading and usable surface.
         dead_man_s: a command older than this counts as `stop`, with the ramp of the acceleration limit.
-        stops_after_s: without a cycle for longer the servos stop the wheels, and the reference starts again
-            from rest; 0 where they never do.
+        stops_after_s: bus watchdog of the servos: after a longer time without a cycle they stop the wheels,
+            and the reference starts again from rest; 0 without a watchdog.
 
     Attributes:
-        accepted, refused: lines understood and not.
-        dead_man_stops: how often a moving robot was stopped because nothing was heard.
+        accepted, refused: numbers of valid and invalid lines.
+        dead_man_stops: how often a moving robot was stopped because no command arrived.
     """
 
     def __init__(
@@ -53,19 +53,19 @@ class VelocityReference:
         self._lines, self._projection, self._limits = lines, projection, limits
         self._dead_man_s, self._stops_after_s = dead_man_s, stops_after_s
         self._pose = np.array(start_pose, dtype=np.float64)
-        self._twist, self._wanted = np.zeros(3), np.zeros(3)
-        self._t_s = self._heard_s = 0.0
+        self._twist, self._commanded = np.zeros(3), np.zeros(3)
+        self._t_s = self._command_s = 0.0
         self.accepted = self.refused = self.dead_man_stops = 0
 
     def __call__(self, t_s: float) -> Reference:
-        """Take what has come in, and move on."""
+        """Process the lines that have arrived, and advance the reference to `t_s`."""
         gone_s = max(t_s - self._t_s, 0.0)
         step_s = min(gone_s, _LONGEST_STEP_S)
         self._t_s = t_s
         if 0.0 < self._stops_after_s < gone_s:
             self._advance(self._stops_after_s)
             self._twist, step_s = np.zeros(3), 0.0
-        self._listen(t_s)
+        self._read_commands(t_s)
         before = rotation2(float(self._pose[2])) @ self._twist[:2]
         spin_before = float(self._twist[2])
         self._twist = self._ramped(step_s)
@@ -76,25 +76,25 @@ class VelocityReference:
             acceleration = np.r_[after - before, self._twist[2] - spin_before] / step_s
         return Reference(t_s, self._pose.copy(), self._twist.copy(), acceleration)
 
-    def _listen(self, t_s: float) -> None:
+    def _read_commands(self, t_s: float) -> None:
         for line in self._lines.pending():
             if not line.strip():
                 continue
             try:
-                self._wanted = self._within_speed(np.array(parse_command(line)))
+                self._commanded = self._within_speed(np.array(parse_command(line)))
             except UsageError as error:
                 self.refused += 1
                 if self.refused <= _REPORTED:
                     LOG.warning("%s", error)
                 continue
             self.accepted += 1
-            self._heard_s = t_s
+            self._command_s = t_s
             if line.split() == ["stop"]:
                 self._twist = np.zeros(3)
-        if t_s - self._heard_s > self._dead_man_s and self._wanted.any():
-            self._wanted = np.zeros(3)
+        if t_s - self._command_s > self._dead_man_s and self._commanded.any():
+            self._commanded = np.zeros(3)
             self.dead_man_stops += 1
-            LOG.warning("no command for %.2f s: the robot is stopped", t_s - self._heard_s)
+            LOG.warning("no command for %.2f s: the robot is stopped", t_s - self._command_s)
 
     def _peak(self, twist: Array) -> float:
         """Largest contact speed of a wheel, m/s (or m/s^2 of an acceleration)."""
@@ -107,12 +107,12 @@ class VelocityReference:
         )
 
     def _ramped(self, step_s: float) -> Array:
-        change = self._wanted - self._twist
+        change = self._commanded - self._twist
         peak, reach = self._peak(change), self._limits.wheel_acceleration_m_s2 * step_s
-        return self._wanted if peak <= reach else self._twist + change * (reach / peak)
+        return self._commanded if peak <= reach else self._twist + change * (reach / peak)
 
     def _advance(self, step_s: float) -> None:
-        """Move the pose, unless that leads out of the heading limit or off the usable surface."""
+        """Move the pose; stop if that leads beyond the heading limit or off the usable surface."""
         following = compose(self._pose, se2_exp(self._twist * step_s))
         if self._leaves(following):
             self._twist = np.zeros(3)

@@ -1,10 +1,9 @@
 """The monitor's own process: cycle records from standard input, Rerun behind it.
 
-Pieces on standard input (`hil.monitor.record_pipe`) come from `hil.monitor.sink` in the parent process and
-from
-nowhere else (they are pickles). Ends with the empty piece or when the parent is gone, also where Rerun then
-waits for a viewer without an end; an interrupt is the parent's. The exit code is 1 where an output could not
-be opened or did not take everything.
+Messages on standard input (`hil.monitor.record_pipe`) come from `hil.monitor.sink` in the parent process and
+from nowhere else (they are pickles). The process ends with the empty message or when the parent is gone, even
+if Rerun then waits for a viewer without end; SIGINT is left to the parent. The exit code is 1 if an output
+could not be opened or did not accept everything.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from hil.monitor.record_pipe import READY, taken
 
 _NICE = 10
 _LOOK_S, _LEFT_S = 1.0, 15.0
-"""How often the parent is looked for, and how long all may take once it is gone."""
+"""Poll interval for the parent, and time to finish once it is gone."""
 
 
 def _outlive_not(parent: int) -> None:
-    """Thread: end the process some time after its parent, whatever Rerun waits for."""
+    """Thread: end the process some time after its parent has ended, even if Rerun still waits."""
     nothing = threading.Event()
     while os.getppid() == parent:
         nothing.wait(_LOOK_S)
@@ -37,12 +36,12 @@ def _outlive_not(parent: int) -> None:
 
 
 def main(targets: Sequence[str], pipe: BinaryIO) -> int:
-    """Show what comes until the end."""
+    """Show the records from the pipe until its end; returns the exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s")
     threading.Thread(target=_outlive_not, args=(os.getppid(),), daemon=True).start()
     os.nice(_NICE)
-    import rerun  # noqa: F401  # the slow part, before the parent goes on
+    import rerun  # noqa: F401  # the slow part, before the parent continues
 
     from hil.monitor.rerun_stream import RerunStream
 

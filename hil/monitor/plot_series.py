@@ -44,7 +44,7 @@ class Series:
         t_s: (n,) seconds since the first cycle.
         cycles: (n,) cycle numbers.
         values: (n, len(names)); NaN where a cycle had no such figure.
-        before: how many columns the same plot has that came earlier.
+        before: number of columns that the same plot already has.
     """
 
     names: tuple[str, ...]
@@ -55,9 +55,9 @@ class Series:
 
 
 class SeriesCollector:
-    """Collects the rows of every plot between two sends; few plots of many columns, because each costs.
+    """Collects the rows of every plot between two sends; few plots of many columns, because plots cost time.
 
-    Rerun counts the columns of an entity once: figures that come later get an entity of their own below it.
+    The number of columns of a Rerun entity is fixed: figures that come later get an entity below it.
     """
 
     def __init__(self) -> None:
@@ -122,7 +122,7 @@ class SeriesCollector:
             yield "loop", {name: value_ns / 1e6 for name, value_ns in record.timing_ns.items()}
 
     def _of_kind(self, kind: DeviceKind, inputs: Inputs) -> Sequence[tuple[str, Figures]]:
-        """A kind's figures; those of a package that fails are left out from then on, and it is named once."""
+        """Figures of a device kind; if its package raises, they are left out from then on, with a warning."""
         if kind.name in self._failed:
             return ()
         try:

@@ -1,7 +1,7 @@
-"""The format of the pipe from the loop's process to the monitor's: pieces, each of them a pickle.
+"""The format of the pipe from the loop's process to the monitor's: messages, each a pickle.
 
-The first piece is the scene. Every other one is a list of what is to be shown, oldest first: cycle records
-and paths. An empty piece is the end. Before each stands how many cycles were not shown so far.
+The first message is the scene. Each further one is a list of cycle records and paths, oldest first. An empty
+message is the end. The head of a message holds its length and the number of cycles not shown so far.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Shown: TypeAlias = "CycleRecord | Array"
 """A cycle, or a path that the robot is going to follow."""
 
 READY = b"hil monitor ready\n"
-"""What the monitor's process says when it has loaded Rerun."""
+"""Line that the monitor's process prints when it has loaded Rerun."""
 
 _HEAD = struct.Struct("<IQ")
 _DOUBLE = np.dtype(np.float64)
@@ -34,7 +34,7 @@ def _array(shape: tuple[int, ...], raw: bytes) -> Array:
 
 
 def _reduced(array: Any) -> Any:
-    """An array of doubles by its bytes; a record has forty, and numpy's own way takes twice the time."""
+    """Pickle an array of doubles as bytes; a record has forty, and numpy's own way takes twice as long."""
     if array.dtype == _DOUBLE:
         return _array, (array.shape, array.tobytes())
     return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
@@ -44,7 +44,7 @@ _REDUCED: dict[Any, Any] = {**copyreg.dispatch_table, np.ndarray: _reduced}
 
 
 def packed(shown: Sequence[Shown]) -> bytes:
-    """The payload of a piece."""
+    """The payload of a message."""
     buffer = io.BytesIO()
     pickler = pickle.Pickler(buffer, pickle.HIGHEST_PROTOCOL)
     pickler.dispatch_table = _REDUCED
@@ -53,11 +53,11 @@ def packed(shown: Sequence[Shown]) -> bytes:
 
 
 def put(pipe: IO[bytes], payload: bytes, dropped: int = 0) -> None:
-    """Write one piece; waits while the pipe is full.
+    """Write one message; waits while the pipe is full.
 
     Args:
         pipe: to the monitor's process.
-        payload: of the piece; empty for the end.
+        payload: of the message; empty for the end.
         dropped: cycles that were not shown so far.
 
     Raises:
@@ -68,7 +68,7 @@ def put(pipe: IO[bytes], payload: bytes, dropped: int = 0) -> None:
 
 
 def taken(pipe: IO[bytes]) -> tuple[bytes, int]:
-    """Payload of the next piece, empty at the end and when the parent is gone; cycles that were not shown."""
+    """Read a message: payload, empty at the end or when the parent is gone; number of cycles not shown."""
     head = pipe.read(_HEAD.size)
     if len(head) < _HEAD.size:
         return b"", 0

@@ -24,7 +24,7 @@ _BACKGROUND: Colour = (246, 248, 250)
 SCENE, ROBOT = "scene", "scene/wall/estimate"
 """Root of what the three-dimensional views show, and the frame of the robot in it."""
 LABELLED = ("slip", "loads")
-"""Below `ROBOT`: arrows whose labels the view beside the robot shows; others tell theirs to the mouse."""
+"""Below `ROBOT`: arrows whose labels the view beside the robot shows; others show theirs when pointed at."""
 TABS = ("Motion", "Servos", "Estimator", "Loop", "Health")
 """The tabs that every bench has; kinds of devices may add their own."""
 
@@ -40,16 +40,16 @@ _PALETTE: tuple[Colour, ...] = (
 )
 _BY_MEASUREMENT = {"wheels": 0, "gyro": 1, "tracker": 2, "gravity": 4, "mocap": 5}
 _BY_DEVICE = (0, 6, 1, 2, 5)
-"""Colours of measurements by name and of the first kinds of devices: what belongs together looks alike."""
+"""Colours of measurements by name and of the first kinds of devices: one colour for what belongs together."""
 
 
 class Sight(NamedTuple):
-    """What of the surface is in view.
+    """The part of the surface and of the robot in view.
 
     Attributes:
         x_range, y_range: of the flat view, (right, down) in m.
         eye: of the view in three dimensions, in the scene.
-        near: of the one beside the robot, in its body.
+        near: of the view beside the robot, in its body.
     """
 
     x_range: tuple[float, float]
@@ -82,7 +82,7 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0], further: Sequence[
     """The layout; needs the `rerun` extra.
 
     Args:
-        sight: what is in view; whatever is drawn when None.
+        sight: what is in view; everything that is drawn when None.
         tab: which of `TABS` is in front.
         further: names of further devices of a kind, which have plots of their own.
     """
@@ -102,7 +102,7 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0], further: Sequence[
 
 
 def _views_of_the_robot(sight: Sight | None) -> tuple[Any, ...]:
-    """In space, beside it, and flat."""
+    """Views of the robot: in three dimensions, beside the robot, and flat."""
     import rerun as rr
     import rerun.blueprint as rrb
 

@@ -30,7 +30,7 @@ _BATCH_NS = NS_PER_S // 10
 _PLOTS_NS = NS_PER_S // 2
 _TRAIL_NS = NS_PER_S
 _FLUSH_S, _ABSENT_S, _FILE_S = 30.0, 1.0, 3.0
-"""How long viewers, a viewer that is not there, and files may take for the rest."""
+"""Time limits for the rest of the data: of viewers, of a viewer that does not listen, and of files."""
 _VIEW_MARGIN_M = 0.45
 _VIEW_SLACK_M = 0.25
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR", "fatal": "CRITICAL"}
@@ -92,7 +92,7 @@ class RerunStream:
         return rr.FileSink(self._files[-1].entrance)
 
     def add(self, record: CycleRecord) -> None:
-        """Take one cycle; the wall moves ten times a second of the records' own time, the plots twice."""
+        """Take one cycle; per second of record time the views are updated ten times, the plots twice."""
         self._collector.add(record)
         self._latest = record
         if record.measurements.wheels:
@@ -132,7 +132,7 @@ class RerunStream:
         self._dropped = total
 
     def flush(self) -> None:
-        """Send what has been collected: the wall every time; plots less often, for each piece has a head."""
+        """Send the collected data: the views every time; plots less often, because each batch has a head."""
         record = self._latest
         if record is None:
             return
@@ -150,7 +150,7 @@ class RerunStream:
             self._trails_ns = record.inputs.t_ns
 
     def close(self) -> bool:
-        """Send the rest and let go of the outputs; False where a viewer did not take everything."""
+        """Send the rest and close the outputs; False if a viewer did not accept everything."""
         self.flush()
         self._send_plots()
         if self._latest is not None:
@@ -252,7 +252,7 @@ class RerunStream:
         self._stream.log("wall/robot/speeds", arrows)
 
     def _send_observer_ellipses(self, record: CycleRecord) -> None:
-        """How sure the filters beside the loop are; odometry knows of no slip, its figure would mislead."""
+        """Send covariance ellipses of the observers; not of odometry, whose covariance ignores slip."""
         for name, state in record.observers.items():
             pose, covariance = state.pose_body_in_wall, state.covariance
             if name != "odometry" and finite(covariance[:2, :2]) and finite(pose):

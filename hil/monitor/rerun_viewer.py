@@ -1,7 +1,7 @@
 """Rerun's own program, started so that it listens to this computer only.
 
-The library's `spawn`, `serve_web_viewer` and `GrpcServerSink` listen on every network interface and know no
-option for it; the program that comes with them has one.
+The library's `spawn`, `serve_web_viewer` and `GrpcServerSink` listen on every network interface and have no
+option to change that; the program that comes with them has one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def url(port: int = GRPC_PORT) -> str:
-    """Where a recording is sent to."""
+    """URL of a viewer's port on this computer, to which a recording is sent."""
     return f"rerun+http://{HOST}:{port}/proxy"
 
 
@@ -97,7 +97,7 @@ def serve(grpc_port: int = GRPC_PORT, web_port: int = WEB_PORT) -> subprocess.Po
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
-    """End a server."""
+    """End a server process."""
     process.terminate()
     try:
         process.wait(_STOP_S)

@@ -54,7 +54,7 @@ class RobotView:
         self._draw_robot()
 
     def surface(self, low_m: Array, high_m: Array) -> None:
-        """Draw the surface: its usable part, or what of it is seen where it has no bounds.
+        """Draw the surface: its usable part, or the part in view if it has no bounds.
 
         Args:
             low_m: (2,) lower corner of what is seen, wall frame.
@@ -108,7 +108,7 @@ class RobotView:
         self._stream.log(f"{WALL}/path/{name}", lines, static=static)
 
     def show(self, m: Moment) -> None:
-        """Place robot, wheels, truth and reference, now; twice a second say what acts on the robot."""
+        """Move robot, wheels, truth and reference; twice a second draw slip, loads, forces and ellipse."""
         rr, geometry = self._rr, self._scene.geometry
         for name, pose in (("estimate", m.pose), ("truth", m.truth), ("reference", m.reference)):
             if pose is not None:
@@ -125,7 +125,7 @@ class RobotView:
             self._explain_estimate(m)
 
     def _explain_estimate(self, m: Moment) -> None:
-        """How sure it is of the position."""
+        """Draw the 95 % ellipse of the estimated position."""
         if finite(m.covariance[:2, :2]):
             ellipse = solid_geometry.ellipse_in_body(m.covariance, float(m.pose[2]))
             self._log(f"{ROBOT}/covariance_95", self._lines([ellipse], PATH_COLOURS["estimate"], 2.0))
@@ -148,7 +148,7 @@ class RobotView:
         self._log(f"{ROBOT}/slip", arrows)
 
     def _explain_forces(self, m: Moment) -> None:
-        """Weight, fan and propellers; an arrow that pushes on the surface ends where it acts."""
+        """Draw weight, fan and propellers; an arrow that pushes on the surface ends where it acts."""
         scene, rr = self._scene, self._rr
         weight = scene.robot.weight_n * solid_geometry.gravity_in_body(scene.tilt_rad, float(m.pose[2]))
         named = [("weight", np.array(scene.robot.centre_of_mass_m), weight, _WEIGHT)]
@@ -176,7 +176,7 @@ class RobotView:
         self._log(WALL, tilted, static=True)
 
     def _draw_robot(self) -> None:
-        """What belongs to the robot's frames and never moves in them."""
+        """Draw the parts that never move within the robot's frames."""
         rr, scene = self._rr, self._scene
         vertices, triangles, colours = robot_mesh.wheel_mesh(float(np.mean(scene.geometry.radius_m)))
         wheel = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=colours)
@@ -230,7 +230,7 @@ class RobotView:
             self._log(f"{ROBOT}/body/{name}", part, static=True)
 
     def _place(self, name: str, pose: Array) -> None:
-        """Move a frame; what has not been there before gets its outline now, and is nowhere before."""
+        """Move a frame; the first call for a frame also draws its outline, so that none is shown before."""
         rr = self._rr
         if name not in self._outlined:
             self._outlined.add(name)

@@ -1,8 +1,8 @@
-"""A Rerun file: written behind a pipe, and checked to be whole, by its messages up to the one that ends it.
+"""A Rerun file: written through a pipe, and checked for completeness up to its end message.
 
-Rerun writes into the pipe, a thread of ours into the file. Where Rerun itself meets a full disk, the thread
-of it that writes ends, and a caller that closes the recording may wait for that thread for ever, in code that
-no signal reaches. A pipe is never full for long.
+Rerun writes into the pipe, a thread of ours into the file. If Rerun itself wrote to a full disk, its writer
+thread would end, and a caller that closes the recording could wait for that thread for ever, in code that no
+signal interrupts. A pipe is never full for long.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def files_of(targets: Iterable[str]) -> tuple[str, ...]:
 
 
 def what_is_missing(path: Path) -> str:
-    """Why a file of Rerun is not whole; empty where it is.
+    """Why a Rerun file is incomplete, in words; empty if it is complete.
 
-    A disk that was full leaves a file that breaks off, of which the library says nothing.
+    A full disk leaves a truncated file, which the library does not report.
     """
     try:
         size = path.stat().st_size
@@ -56,7 +56,7 @@ class PipedFile:
         path: of the file; a file of that name is replaced.
 
     Attributes:
-        entrance: the name under which the pipe's end for writing is opened, until `opened` is called.
+        entrance: path by which the pipe's writing end can be opened, until `opened` is called.
 
     Raises:
         OSError: the file cannot be opened.
@@ -71,19 +71,19 @@ class PipedFile:
         self._thread.start()
 
     def opened(self) -> None:
-        """Rerun holds the pipe now: it ends when Rerun lets go."""
+        """Note that Rerun has opened the pipe: from now on the pipe ends when Rerun closes it."""
         os.close(self._entrance)
 
     def close(self, patience_s: float) -> None:
-        """Wait until all is written that Rerun let go of.
+        """Wait until everything that Rerun sent is in the file.
 
         Args:
-            patience_s: how long Rerun may take for it.
+            patience_s: how long Rerun may take to close the pipe.
         """
         self._thread.join(patience_s)
 
     def _copy(self) -> None:
-        """Thread: the pipe is emptied to its end, also when the disk takes no more."""
+        """Thread: copy the pipe into the file; after a write error, read on and discard, to its end."""
         broken = False
         while piece := os.read(self._exit, _PIECE):
             if broken:

@@ -29,7 +29,7 @@ class Mounted:
     """A device on the robot.
 
     Attributes:
-        name: of its kind.
+        name: on the bench.
         position_m, rotation_wxyz: its frame in the body.
     """
 
@@ -46,10 +46,10 @@ class Scene:
         geometry: of the wheels, nominal or calibrated.
         robot: masses, outline, fan and propellers.
         environment: how steep the surface is.
-        looks: a mesh of the user's.
+        looks: mesh given by the user.
         x_range_m, y_range_m: usable surface in the wall frame; None where it has no bounds.
         mounted: devices that have a place on the robot.
-        devices: tables of the bench's devices, by kind.
+        devices: tables of the bench's devices, by name on the bench.
     """
 
     geometry: WheelGeometry = field(default_factory=WheelGeometry.nominal)

@@ -1,8 +1,8 @@
 """The state of the robot that the three-dimensional view shows, by the newest samples; no Rerun.
 
-Truth is that of the emulated robot where the record carries it, else what motion capture sees. Slip is the
-emulated robot's own, else what is left of the seen motion beyond what the wheels roll. Loads are the emulated
-robot's own, else those of statics.
+Truth is that of the emulated robot if the record carries it, else that of motion capture. Slip is the
+emulated robot's own, else the measured motion minus the rolling of the wheels. Loads are the emulated robot's
+own, else those of statics.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LOG = logging.getLogger(__name__)
 
 _SLIP_WINDOW_NS = NS_PER_S // 2
 _ASSUMED = {"adhesion": "fan", "thrust": "propeller"}
-"""Kinds whose forces are assumed until they tell, and the word in the names of these."""
+"""Kinds whose forces are assumed until they report, and the word in the names of assumed forces."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Moment:
 
 
 class Moments:
-    """Keeps the newest that is known of the robot.
+    """Keeps the newest known state of the robot.
 
     Args:
         scene: robot and surface.
@@ -107,7 +107,7 @@ class Moments:
         )
 
     def _note_wheels(self, record: CycleRecord) -> None:
-        """The newest figures of every wheel; what a servo did not say stays as it was."""
+        """Store the newest values of every wheel; a value that a servo did not report stays as it was."""
         for wheels in record.measurements.wheels[-1:]:
             self._steering = _known(wheels.steering_rad, self._steering)
             self._wheel_angle = _known(wheels.wheel_angle_rad, self._wheel_angle)
@@ -134,7 +134,7 @@ class Moments:
                 self._forces[name] = reported
 
     def _forces_of(self, kind: DeviceKind, inputs: Inputs) -> tuple[Force, ...]:
-        """Forces of a kind; one whose package fails is left out from then on, and named once."""
+        """Forces of a device kind; if its package raises, they are left out from then on, with a warning."""
         own = self._scene.devices.get(kind.name)
         try:
             return asked(
@@ -146,7 +146,7 @@ class Moments:
             return ()
 
     def _slip(self) -> Array | None:
-        """The emulated robot's own; else the mean over a window in which poses and wheel angles are known."""
+        """The emulated robot's slip; else the mean over a window with known poses and wheel angles."""
         if self._plant:
             return np.asarray(self._plant["slip_m_s"], dtype=np.float64)
         if len(self._seen) < 2 or len(self._angles) < 2:
@@ -180,7 +180,7 @@ class Moments:
 
 
 def assumed_forces(scene: Scene) -> tuple[Force, ...]:
-    """What fan and propellers do on a wall, as `[robot]` promises; nothing on a floor, where they rest."""
+    """Forces of fan and propellers on a wall, by `[robot]`; none on a floor, where they are off."""
     robot = scene.robot
     if not scene.environment.on_wall:
         return ()

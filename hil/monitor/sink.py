@@ -1,9 +1,9 @@
 """The monitor as the loop sees it: a bounded queue, and behind it a process that talks to Rerun.
 
-The records go to that process through a pipe, those of a tenth of a second together, for the view moves no
-more often. A stalled or dead viewer fills the pipe, then the queue. In real time that costs the oldest, which
-are counted and shown. Where nothing waits for a clock (`lossless`) the caller waits, as long as the
-viewer takes some. Rerun may wait for a viewer without an end: its process is then killed.
+The records go to that process through a pipe, in batches of a tenth of a second, the update interval of the
+view. A stalled or dead viewer fills the pipe, then the queue. In real time the oldest records are then
+dropped; their number is shown. With `lossless` the caller waits instead, as long as the viewer accepts some.
+Rerun may wait for a viewer without end: its process is then killed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _CAPACITY = 500
 _CLOSE_S, _LOSSLESS_S = 4.0, 60.0
 _TOGETHER_NS, _MOST_TOGETHER = nanoseconds(0.1), 10
 _LEFT_S = 0.5
-"""What the last cycle of a loop has left is shown after this time."""
+"""The records that the last cycle of a loop has left in the queue are shown after this time."""
 
 
 def split_targets(target: str) -> tuple[str, ...]:
@@ -74,7 +74,7 @@ class RerunMonitor(Sink):
         target: `spawn`, `connect`, `serve`, a `rerun+http://` URL or a `.rrd` file, or several of
             them separated by commas.
         lossless: drop nothing, `write` waits instead (a recording is shown).
-        scene: robot and surface that are drawn; those of the paper when None.
+        scene: robot and surface to draw; those of the paper when None.
         capacity: cycles that may wait before the oldest is dropped or `write` waits.
         patience_s: how long the viewer may take for the rest when all is over and, where nothing is dropped,
             for some of what waits; 4 s, 60 s where nothing is dropped.
@@ -124,7 +124,7 @@ class RerunMonitor(Sink):
         self._thread.start()
 
     def _await_ready(self, target: str) -> None:
-        """Let the process load Rerun before the loop starts: its start-up would make cycles late."""
+        """Wait until the process has loaded Rerun: during the loop its start-up would make cycles late."""
         assert self._process.stdout is not None
         try:
             self._send(pickle.dumps(self._scene))
@@ -166,7 +166,7 @@ class RerunMonitor(Sink):
         self._something.set()
 
     def _room_comes(self) -> bool:
-        """Wait until the thread has taken some; False where the viewer takes no more."""
+        """Wait until the queue has room; False if the viewer accepts no more."""
         while self._thread.is_alive():
             self._room.clear()
             self._something.set()
@@ -177,7 +177,7 @@ class RerunMonitor(Sink):
         return False
 
     def _give_up(self, why: str) -> None:
-        """End the process, and with it what the thread waits for."""
+        """Kill the process, which also ends the wait of the thread."""
         self._process.kill()
         self._thread.join(self._patience_s)
         self.failure = why
@@ -190,7 +190,7 @@ class RerunMonitor(Sink):
         self.dropped += 1
 
     def _feed(self) -> None:
-        """Thread: what waits goes into the pipe, several records at once."""
+        """Thread: write the queue into the pipe, several records at once."""
         try:
             while True:
                 self._something.wait(_LEFT_S)
@@ -208,9 +208,9 @@ class RerunMonitor(Sink):
             self._room.set()
 
     def _take(self) -> bool:
-        """Take the oldest that wait into the hand; False where nothing waits."""
+        """Move the oldest records of the queue into the next batch; False if the batch is empty."""
         while self._waiting and len(self._in_hand) < _MOST_TOGETHER:
-            with contextlib.suppress(IndexError):  # it was the oldest and is dropped
+            with contextlib.suppress(IndexError):  # another thread has dropped it as the oldest
                 self._in_hand.append(self._waiting.popleft())
         return bool(self._in_hand)
 
@@ -218,7 +218,7 @@ class RerunMonitor(Sink):
         put(self._pipe, payload, self.dropped)
 
     def close(self) -> None:
-        """Show what waits and let go. Idempotent; never raises."""
+        """Show the rest of the queue and end the process. Idempotent; never raises."""
         if self._closed:
             return
         self._closed = True
@@ -245,5 +245,5 @@ class RerunMonitor(Sink):
             self._process.wait()
             self.failure = "the viewer did not finish"
         self.dropped += sum(isinstance(shown, CycleRecord) for shown in (*self._in_hand, *self._waiting))
-        with contextlib.suppress(OSError):  # what is left in the pipe's buffer finds nothing
+        with contextlib.suppress(OSError):  # the rest in the pipe's buffer has no reader
             self._pipe.close()

@@ -1,4 +1,4 @@
-"""Geometry of the three-dimensional view by its laws: places, turns and arrows; pure numpy, no Rerun.
+"""Geometry of the three-dimensional view: positions, rotations and arrows; pure numpy, no Rerun.
 
 Frames, each child of the one before: `scene` has z against gravity; `wall` is the wall frame (X up the
 wall, Y left, Z out of it), tilted about the horizontal Y; `body`; a wheel's hub at the wheel's centre,
@@ -34,7 +34,7 @@ def wall_rotation(tilt_rad: float) -> Array:
 
 
 def translation(pose: Array) -> Array:
-    """A pose's place (3,) in the wall frame, on the surface."""
+    """Position (3,) of a pose in the wall frame, on the surface, m."""
     return np.array([pose[0], pose[1], 0.0])
 
 
@@ -62,7 +62,7 @@ def wheel_turns(steering_rad: Array, wheel_angle_rad: Array, geometry: WheelGeom
 
 
 def in_body(vectors: Array, steering_rad: Array, geometry: WheelGeometry) -> Array:
-    """Vectors (4, 2) of the wheels' frames (along, across) in the body, (4, 2)."""
+    """Vectors (4, 2) from the wheels' frames (along, across) to the body frame, (4, 2)."""
     heading = steering_rad - geometry.steering_zero_rad
     c, s = np.cos(heading), np.sin(heading)
     along, across = vectors[:, 0], vectors[:, 1]
@@ -74,10 +74,10 @@ def slip_of_motion(
 ) -> Array:
     """Slip velocities (4, 2) of the contacts over the surface, along and across each wheel, m/s.
 
-    What a contact moves beyond what the wheel rolls; the emulated robot's truth counts it likewise.
+    Motion of the contact minus rolling of the wheel; the emulated robot's truth uses the same definition.
 
     Args:
-        twist_body: (3,) how the body really moves.
+        twist_body: (3,) true body twist.
         rate_rad_s: (4,) wheel rates.
         steering_rad: (4,) measured.
         geometry: of the wheels.
@@ -106,7 +106,7 @@ def load_arrows(load_n: Array, geometry: WheelGeometry) -> tuple[Array, Array]:
 
 
 def ellipse_in_body(covariance: Array, heading_rad: float) -> Array:
-    """Outline that holds the position with 95 %, (33, 3), in the body, above the robot, m.
+    """Outline of the 95 % ellipse of the position, (33, 3), in the body, above the robot, m.
 
     Args:
         covariance: (n, n), its first two rows and columns are position in wall axes, m^2.
@@ -123,7 +123,7 @@ def gravity_in_body(tilt_rad: float, heading_rad: float) -> Array:
 
 
 class Eye(NamedTuple):
-    """How one looks at something: where one stands, what one looks at, and what is up, (3,) each, m."""
+    """A camera of the view: its position, the point that it looks at, and the direction up, (3,) each, m."""
 
     place: Array
     target: Array
@@ -131,7 +131,7 @@ class Eye(NamedTuple):
 
 
 def overview(low_m: Array, high_m: Array, tilt_rad: float) -> Eye:
-    """How to see a part of the surface, scene frame.
+    """Camera for a view of a part of the surface, scene frame.
 
     From outside, a little below and to the right of the middle, so that depth can be seen.
 
@@ -149,6 +149,6 @@ def overview(low_m: Array, high_m: Array, tilt_rad: float) -> Eye:
 
 
 def beside(tilt_rad: float) -> Eye:
-    """How to see the robot from near, from behind, in its body; up is up when it points up the surface."""
+    """Camera close behind the robot, in its body; upright when the robot points up the surface."""
     place = _NEAR_M * _EYE_FROM / np.linalg.norm(_EYE_FROM)
     return Eye(place, np.array([0.0, 0.0, 0.04]), -gravity_in_body(tilt_rad, 0.0))

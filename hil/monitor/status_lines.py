@@ -1,6 +1,6 @@
 """Figures of the running loop twice a second, for a program that watches: pose, wheels, devices, events.
 
-No Rerun and no thread: what is due is passed on within the cycle, as plain values.
+No Rerun and no thread: figures that are due are passed on within the cycle, as plain values.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Tell = Callable[[str, Mapping[str, Any]], None]
 
 
 class StatusStream(Sink):
-    """Passes on where the robot is and how its devices do; a bench in virtual time goes by the host's clock.
+    """Passes on pose and device states twice a second of the host's clock, also in virtual time.
 
     Args:
         tell: receives `("live", figures)`, and `("held", how)` when a bench is closed.
@@ -37,7 +37,7 @@ class StatusStream(Sink):
         self._events: list[str] = []
 
     def write(self, record: CycleRecord) -> None:
-        """Count what one cycle brought; tell when it is time."""
+        """Count the samples of one cycle; pass on the figures when they are due."""
         if self._begun_ns is None:
             self._begun_ns = record.inputs.t_ns
         for name in heard_in(record.inputs):
@@ -59,7 +59,7 @@ class StatusStream(Sink):
             self._tell(HELD_NOTE, data)
 
     def close(self) -> None:
-        """The next bench has a time axis of its own."""
+        """Reset the time axis: the next bench has its own."""
         self._begun_ns = None
 
     def _figures(self, record: CycleRecord) -> dict[str, Any]:

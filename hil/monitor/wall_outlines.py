@@ -82,7 +82,7 @@ def speed_arrows(
 
 
 def covariance_ellipse(pose: Array, covariance: Array) -> Array:
-    """Outline that holds the position with 95 %, (33, 2), wall frame, m.
+    """Outline of the 95 % ellipse of the position, (33, 2), wall frame, m.
 
     Args:
         pose: (2,) or (3,) estimated position or pose.

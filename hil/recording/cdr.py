@@ -1,8 +1,8 @@
-"""CDR of the ROS 2 messages that every cycle brings: a stamp, texts that stay, and numbers.
+"""CDR encoding of the ROS 2 messages of every cycle: a stamp, texts that do not change, and numbers.
 
-rosbags writes any message; these take it more than half of a recording's time. The layout is that of OMG's
-DDS-XTypes 1.3, 7.4.1 (XCDR version 1), little endian: a value begins at a multiple of its own size, counted
-behind the first four bytes.
+rosbags can write any message, but for these it would take more than half of a recording's time. The layout is
+that of OMG's DDS-XTypes 1.3, 7.4.1 (XCDR version 1), little endian: a value begins at a multiple of its own
+size, counted after the first four bytes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def transforms(stamp: Stamp, frames: Sequence[tuple[tuple[str, str], Sequence[fl
     """`tf2_msgs/TFMessage`.
 
     Args:
-        stamp: of all.
+        stamp: of all transforms.
         frames: names (parent, child) and (7,): position in m, quaternion with w last.
     """
     data = _ENCODING + _LENGTH.pack(len(frames))
@@ -77,19 +77,19 @@ def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Iterable[Sequence
 
 
 def _gap(length: int) -> int:
-    """Bytes up to where a float64 may begin."""
+    """Padding up to the next place for a float64, bytes."""
     return (len(_ENCODING) - length) % _DOUBLE
 
 
 def _text(text: str, data: bytes) -> bytes:
-    """`data` with a text behind it; it begins at a multiple of four."""
+    """`data` with a text appended; the text begins at a multiple of four bytes."""
     encoded = text.encode() + b"\0"
     return data + bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(encoded)) + encoded
 
 
 @lru_cache(maxsize=64)
 def _texts(texts: tuple[str, ...]) -> bytes:
-    """Texts behind a stamp."""
+    """Encode texts that follow a stamp."""
     data = b""
     for text in texts:
         data = _text(text, data)
@@ -98,7 +98,7 @@ def _texts(texts: tuple[str, ...]) -> bytes:
 
 @lru_cache(maxsize=64)
 def _names(names: tuple[str, ...]) -> bytes:
-    """An empty frame behind a stamp, and a sequence of names, up to where a length may begin."""
+    """Encode an empty frame and a sequence of names after a stamp, padded to the place of a length."""
     data = _text("", b"")
     data += bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(names))
     for name in names:

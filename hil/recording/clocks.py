@@ -1,4 +1,4 @@
-"""Clocks of recordings: PTP hardware clocks beside the wall clock, and the way from one recording to another.
+"""Clocks of recordings: PTP hardware clocks beside the wall clock, and the offset between two recordings.
 
 Two computers that record one run agree as well as their clocks do. Where a network card keeps PTP time
 (`ptp4l`), that is better than an undisciplined wall clock.
@@ -21,7 +21,7 @@ from hil.recording.transform_tree import recorded_offset
 DEVICES = Path("/dev")
 _LOOKS = 25
 _CREDIBLE_NS = 60 * NS_PER_S
-"""A hardware clock that is not set begins at 1970 or when the computer did; TAI is 37 s before UTC."""
+"""A hardware clock that is not set counts from 1970 or from boot; TAI is 37 s ahead of UTC."""
 _CLOCK_OF_FD = 3
 
 
@@ -32,7 +32,7 @@ class PtpOffset(NamedTuple):
         device: name of the clock (`ptp0`).
         offset_ns: added to a time of the bench clock it gives that of the hardware clock.
         uncertainty_ns: how far `offset_ns` may be off.
-        measured_ns: when that was found out, on the bench clock.
+        measured_ns: time of the measurement, bench clock.
     """
 
     device: str
@@ -42,7 +42,7 @@ class PtpOffset(NamedTuple):
 
 
 class Shift(NamedTuple):
-    """What leads from the bench clock of one recording to that of another.
+    """Offset between the bench clocks of two recordings.
 
     Attributes:
         shift_ns: added to a time of the second recording it gives that of the first.
@@ -58,7 +58,7 @@ class Shift(NamedTuple):
 def ptp_offsets(
     now_ns: Callable[[], int], folder: Path = DEVICES, read: Callable[[int], int] | None = None
 ) -> tuple[PtpOffset, ...]:
-    """Offsets of all hardware clocks that may be read; none where there are none.
+    """Offsets of all PTP hardware clocks that may be read; empty without any.
 
     Args:
         now_ns: the bench clock.
@@ -73,7 +73,7 @@ def ptp_offsets(
 
 
 def _offset(path: Path, now_ns: Callable[[], int], read: Callable[[int], int]) -> PtpOffset:
-    """By the look that took least between two looks at the bench clock."""
+    """Offset by the reading with the shortest time between the bench clock readings before and after it."""
     fd = os.open(path, os.O_RDONLY)
     try:
         looks = [(now_ns(), read(fd), now_ns()) for _ in range(_LOOKS)]
@@ -98,7 +98,7 @@ def recorded_ptp(header: Mapping[str, Any]) -> tuple[PtpOffset, ...]:
 
 
 def shift_between(first: str | Path, second: str | Path) -> Shift:
-    """What leads from the second recording's bench clock to that of the first.
+    """Offset from the second recording's bench clock to that of the first.
 
     By PTP where both have a disciplined hardware clock, else by the wall clocks.
 
@@ -128,7 +128,7 @@ def shift_between(first: str | Path, second: str | Path) -> Shift:
 
 
 def _kept(header: Mapping[str, Any]) -> Iterator[PtpOffset]:
-    """Hardware clocks whose time is near the time of day, so that they are disciplined."""
+    """Hardware clocks of a header that count as disciplined: their time is near the time of day."""
     wall = recorded_offset(header)
     for ptp in recorded_ptp(header):
         if wall is not None and abs(ptp.offset_ns - wall.offset_ns) < _CREDIBLE_NS:

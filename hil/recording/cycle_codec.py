@@ -24,7 +24,7 @@ from hil.core.errors import ConfigError
 from hil.core.signals import CycleRecord
 
 FORMAT = 2
-"""Of a recording: what the topic `/hil/cycle` holds. Files of another number are not read."""
+"""Version of the content of the topic `/hil/cycle`; files with another number are not read."""
 DTYPES: Sequence[np.dtype[Any]] = tuple(map(np.dtype, ("<f8", "<f4", "<i8", "?")))
 """Types of arrays that are kept as they are."""
 _NUMBERS = {dtype: number for number, dtype in enumerate(DTYPES)}
@@ -60,10 +60,10 @@ class CycleCodec:
         return self._encoder.encode(record)
 
     def decode(self, data: bytes) -> CycleRecord:
-        """One record.
+        """Decode one record.
 
         Raises:
-            ValueError: no such bytes.
+            ValueError: the bytes are no cycle record.
         """
         try:
             record = self._decoder.decode(data)
@@ -83,7 +83,7 @@ class CycleCodec:
 
 
 def _packed(value: Any) -> Any:
-    """What stands for a value that MessagePack has no form for."""
+    """Replacement for a value that MessagePack has no form for: arrays, numpy scalars, mappings."""
     if isinstance(value, np.ndarray):
         number, dimensions = _NUMBERS.get(value.dtype), value.ndim
         if number is None:
@@ -98,7 +98,7 @@ def _packed(value: Any) -> Any:
 
 
 def _unpacked(code: int, data: memoryview) -> Any:
-    """The array of an extension; its memory is its own."""
+    """The array of an extension, as a copy."""
     dimensions, number = divmod(code, 4)
     values = np.frombuffer(data, DTYPES[number], offset=4 * dimensions if dimensions > 1 else 0)
     if dimensions == 1:
@@ -107,19 +107,19 @@ def _unpacked(code: int, data: memoryview) -> Any:
 
 
 def _array(kind: Any, value: Any) -> Any:
-    """An array where one is wanted, also where a number or a list of numbers was recorded for it."""
+    """Value of an array field; a recorded number or list of numbers becomes a float64 array."""
     return value if isinstance(value, np.ndarray) else np.asarray(value, dtype=np.float64)
 
 
 def _tuples(value: Any) -> Any:
-    """A value of a free mapping with tuples for its lists, as it was recorded."""
+    """Value of a free mapping with lists turned into tuples, the type that was recorded."""
     if isinstance(value, list):
         return tuple(map(_tuples, value))
     return {key: _tuples(item) for key, item in value.items()} if isinstance(value, dict) else value
 
 
 def _check(kind: DeviceKind) -> None:
-    """Raises `ConfigError` for a kind whose samples hold what cannot be recorded."""
+    """Raise `ConfigError` for a kind whose samples have fields that cannot be recorded."""
     try:
         strange = {c for c in _classes(msgspec.inspect.type_info(kind.sample)) if c is not np.ndarray}
         why = ", ".join(sorted(c.__name__ for c in strange))
@@ -134,7 +134,7 @@ def _check(kind: DeviceKind) -> None:
 
 
 def _classes(part: msgspec.Struct) -> Iterator[Any]:
-    """Classes in the description of a type that MessagePack has no form for."""
+    """Classes in a type description that MessagePack has no form for."""
     if isinstance(part, msgspec.inspect.CustomType):
         yield part.cls
         return

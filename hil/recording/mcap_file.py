@@ -25,7 +25,7 @@ LOG = logging.getLogger(__name__)
 METADATA, CLOCK_AT_START, CLOCK_AT_END = "hil", "hil_clock_at_start", "hil_clock_at_end"
 FORMAT_KEY, PACKAGES = "format", "packages"
 LIBRARY = "hil"
-"""What the head of a file says wrote it."""
+"""Name of the writing library in the head of a file."""
 _FLUSH_NS = NS_PER_S // 2
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _LATCHED = "- " + "\n  ".join(
@@ -42,7 +42,7 @@ _LATCHED = "- " + "\n  ".join(
     )
 )
 _QOS = {"/tf_static": _LATCHED, "/robot_description": _LATCHED}
-"""Quality of service with which a topic is to be played: a late subscriber gets the last message, too."""
+"""Quality of service for playing a topic: a late subscriber also gets the last message."""
 
 
 class _WholeWrites:
@@ -65,14 +65,14 @@ class _WholeWrites:
         return self._at
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: there is no buffer."""
 
     def cut(self, length: int) -> None:
         """Drop everything after the first `length` bytes."""
         os.ftruncate(self._fd, length)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         os.close(self._fd)
 
 
@@ -93,10 +93,10 @@ class RecordingFile:
 
     Args:
         path: file to write.
-        header: kept as JSON; says where the clock stands and how sensors and wheels are mounted.
+        header: kept as JSON; contains the clock offset and the mounts of sensors and wheels.
 
     Attributes:
-        flushed, unflushed: cycles that the operating system has, and those of the open chunk.
+        flushed, unflushed: numbers of cycles handed to the operating system, and in the open chunk.
 
     Raises:
         OSError: it cannot be created.
@@ -135,7 +135,7 @@ class RecordingFile:
             self.begin()
 
     def begin(self) -> CycleMessages:
-        """Describe the topics, unless that is done: it loads rosbags, which takes some tenths of a second."""
+        """Describe the topics at the first call: this loads rosbags, which takes some tenths of a second."""
         if self._messages is None:
             from hil.recording.ros_messages import CycleMessages
             from hil.recording.ros_types import definition
@@ -187,7 +187,7 @@ class RecordingFile:
         self.unflushed = 0
 
     def finish(self) -> None:
-        """Write where the clock stands now and the summary, and close."""
+        """Write the present clock offset and the summary, and close."""
         self.flush()
         if self._offset is not None:
             self._mcap.add_metadata(CLOCK_AT_END, _texts(MonotonicClock().wall_offset()))
@@ -195,7 +195,7 @@ class RecordingFile:
         self._file.close()
 
     def abandon(self) -> int:
-        """Cut off what was half written and close; returns the number of cycles that are lost with it."""
+        """Cut off everything after the last whole chunk and close; returns the number of lost cycles."""
         lost, self.unflushed = self.unflushed, 0
         try:
             self._file.cut(self._safe_bytes)

@@ -26,7 +26,7 @@ GO_ON = "give a list as `problems` to go on with what could be read"
 
 
 class Note:
-    """Something kept between two cycles."""
+    """A note between two cycles."""
 
     def __init__(self, kind: str, data: dict[str, Any]) -> None:
         self.kind, self.data = kind, data
@@ -39,8 +39,8 @@ class RecordingReader:
         path: the MCAP file.
 
     Attributes:
-        header: what the writer was given.
-        packages: name and version of the package of what others add, by `KIND` or `KIND.MODEL`.
+        header: that the writer was given.
+        packages: name and version of the packages that add devices, by `KIND` or `KIND.MODEL`.
         problems: what could not be read so far; complete once the iteration has ended.
 
     Raises:
@@ -79,7 +79,7 @@ class RecordingReader:
         raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
 
     def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleCodec]:
-        """What the record at byte `at` says of the header and of the samples in the cycles."""
+        """Header, and codec for the cycles, from the metadata record at byte `at`."""
         try:
             header = json_object(metadata["header"])
             found = metadata.get(FORMAT_KEY, "1")
@@ -170,10 +170,10 @@ def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator
 
 
 def read_wall_offsets(path: str | Path) -> tuple[WallOffset, ...]:
-    """Where the wall clock stood against the bench clock at the start and, if all ended well, at the end.
+    """Offsets of the wall clock from the bench clock at the start and, after an orderly end, at the end.
 
-    Stamps of the messages are made with the first; the difference is what the wall clock was adjusted by
-    meanwhile. Empty for virtual time.
+    Stamps of the messages use the first; the difference is the adjustment of the wall clock meanwhile. Empty
+    for virtual time.
 
     Raises:
         DataError: not an MCAP file, or damaged where the offsets stand.

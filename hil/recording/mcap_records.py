@@ -16,12 +16,12 @@ _MAGIC_BYTES, _ZSTD = 8, b"\x28\xb5\x2f\xfd"
 
 
 def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
-    """Records of the file, a chunk as one, in their order, with the byte behind which each begins.
+    """Records of a file in order, a chunk counting as one, each with the byte at which it begins.
 
     Damage ends the iteration and is named in `problems`.
 
     Raises:
-        DataError: not there or not MCAP.
+        DataError: the file cannot be read or is not MCAP.
     """
     from mcap.stream_reader import StreamReader
 
@@ -49,7 +49,7 @@ def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
 
 
 def in_place_of(path: Path) -> str:
-    """What to name instead: the recordings of a run where its folder was given, else what the path is for."""
+    """Remedy for a wrong path: the recordings in a run's folder, else the command that takes such a path."""
     inside = sorted(path.glob("*.mcap")) if path.is_dir() else []
     return (
         "name one of " + ", ".join(map(str, inside))
@@ -88,7 +88,7 @@ def ends_early(error: Exception) -> bool:
 
 
 def _damage(at: int, reached: int, error: Exception) -> str:
-    """What is wrong behind byte `at`, where reading reached a byte."""
+    """Description of damage after byte `at`; `reached` is the byte up to which the file was read."""
     why = str(error)
     if ends_early(error):
         message = f"ends early at byte {reached} (writer killed, disk full, or damaged there)"

@@ -1,9 +1,9 @@
-"""Records a run: the loop hands a cycle over and goes on, a thread encodes, compresses and writes.
+"""Records a run: the loop hands a cycle over and continues, a thread encodes, compresses and writes.
 
 The thread is woken for several cycles at once: waking it takes as long as encoding one.
 A chunk is closed and flushed at least twice a second, so that a killed process loses at most the last
-second. When the disk cannot keep up, or is full, records are lost, counted and named, and the recorder
-objects to further cycles unless it was made to let the loop go on.
+second. When the disk cannot keep up, or is full, records are lost and counted, and the recorder makes the
+loop stop, unless `on_failure` lets it go on.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class McapRecorder(Sink):
         header: configuration, calibration, seed, versions; kept as JSON.
         lossless: write in the caller's thread and drop nothing (virtual time); otherwise a thread
             writes and a full queue drops the newest record.
-        on_failure: whether the loop has to `stop`, or may `go-on` unrecorded, once a cycle is not kept.
+        on_failure: whether the loop has to `stop`, or may `go-on` unrecorded, once a cycle is lost.
         capacity: records that may wait.
 
     Attributes:
@@ -88,7 +88,7 @@ class McapRecorder(Sink):
         self._put(("cycle", record))
 
     def objection(self) -> RecordingError | None:
-        """What the loop is stopped with once a cycle is not kept; None before, and where it may go on."""
+        """Error that stops the loop once a cycle is lost; None before, and if the loop may go on."""
         if self.on_failure == "go-on" or not self.shortfall:
             return None
         remedy = "make room or record elsewhere" if not self._malformed else "mend what the error names"
@@ -106,7 +106,7 @@ class McapRecorder(Sink):
         return self.failure
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Keep something that belongs between two cycles, such as how a run starts.
+        """Record a note between two cycles, such as the start of a run.
 
         Args:
             t_ns: bench time.
@@ -117,7 +117,7 @@ class McapRecorder(Sink):
         self.rest()
 
     def rest(self) -> None:
-        """Hand on what the last cycle left: the thread that writes works while the loop sleeps."""
+        """Hand the records of the last cycle to the writer thread, which works while the loop sleeps."""
         self._handed.extend(self._waiting)
         self._waiting.clear()
         if len(self._handed) >= _TOGETHER:
@@ -134,7 +134,7 @@ class McapRecorder(Sink):
             self.dropped += 1
 
     def _take(self, item: _Item) -> None:
-        """Write one item; whatever fails is counted, nothing leaves."""
+        """Write one item; failures are counted, and only errors of a signal handler are raised."""
         kind, value = item
         if self._broken:
             self.lost += kind == "cycle"
@@ -150,7 +150,7 @@ class McapRecorder(Sink):
                 self._recording.flush()
         except OSError as error:
             self._give_up(error)
-        except HilError:  # of a signal's handler
+        except HilError:  # raised by a signal handler
             raise
         except Exception as error:  # whatever a malformed record leads to must not leave the recorder
             self.lost += kind == "cycle"
@@ -164,7 +164,7 @@ class McapRecorder(Sink):
         LOG.warning("%s: %s; recording ended", self.path, self.failure)
 
     def _work(self) -> None:
-        """Thread: take what is handed on, and close the chunk once nothing has come for a while."""
+        """Thread: write the items handed over, and close the chunk after a time without any."""
         idle = False
         self._take(("begin", None))
         while True:
@@ -182,7 +182,7 @@ class McapRecorder(Sink):
                 return
 
     def close(self) -> None:
-        """Write what waits, the summary, and report losses. Idempotent; never raises."""
+        """Write the rest of the queue and the summary, and report losses. Idempotent; never raises."""
         if self._closed:
             return
         self._closed = True

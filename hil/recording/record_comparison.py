@@ -19,7 +19,7 @@ _FLOATS = {float}
 def identical(a: Any, b: Any) -> bool:
     """Whether two values are surely the same bits; quick.
 
-    False also means "not of the same types": then only `first_difference` can tell.
+    False also means "not of the same types": then only `first_difference` decides.
     """
     if a is b:
         return True
@@ -88,7 +88,7 @@ def first_difference(a: Any, b: Any, where: str = "") -> str | None:
 
     Args:
         a: recorded value.
-        b: value to hold against it.
+        b: value to compare with it.
         where: dotted path of the value, for the message.
     """
     if identical(a, b):

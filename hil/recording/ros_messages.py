@@ -21,7 +21,7 @@ Message = tuple[str, int, bytes]
 
 _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
 _PLANAR = (0, 1, 5, 6, 7, 11, 30, 31, 35)
-"""Of a covariance of six (36 numbers), those of x, y and the turn about z."""
+"""Indices of x, y and rotation about z in a covariance (6, 6), flattened to 36 numbers."""
 
 
 def transforms(t_ns: int, frames: Sequence[Frame], ros: MessageMaker) -> bytes:
@@ -50,7 +50,7 @@ def _place(planar: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _of_six(planar: Array) -> list[float]:
-    """Covariance (36,) of a pose or twist in space from that of x, y and the turn about z, (3, 3)."""
+    """Covariance (36,) of a pose or twist in space from that of x, y and rotation about z, (3, 3)."""
     whole = [0.0] * 36
     for place, value in zip(_PLANAR, planar.ravel().tolist(), strict=True):
         whole[place] = value
@@ -89,13 +89,13 @@ class CycleMessages:
         return "/hil/notes", t_ns, to_cdr(String(note))
 
     def first(self, t_ns: int, description: str) -> Iterator[Message]:
-        """What never moves, once in a recording: frames, and the robot's URDF unless it is empty."""
+        """Static messages, once per recording: fixed frames, and the robot's URDF unless it is empty."""
         yield "/tf_static", t_ns, transforms(t_ns, self._frames.fixed, self._ros)
         if description:
             yield "/robot_description", t_ns, to_cdr(String(description))
 
     def of(self, record: CycleRecord) -> Iterator[Message]:
-        """Messages of one cycle, made as they are asked for; cycles come in their order."""
+        """Messages of one cycle, generated lazily; to be called with the cycles in order."""
         for topic, t_ns, made in self._made(record):
             yield topic, t_ns, to_cdr(made)
 

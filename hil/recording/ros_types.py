@@ -1,7 +1,7 @@
 """ROS 2 messages by the classes of the package rosbags: made, written as CDR, and read again.
 
-To import this module loads rosbags, which takes some tenths of a second: what records imports it in the
-thread that writes.
+Importing this module loads rosbags, which takes some tenths of a second: a recorder imports it in its writer
+thread.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LATEST_NS = 2**31 * NS_PER_S - 1
 
 
 def to_cdr(given: Any) -> bytes:
-    """A message as CDR, little endian; bytes are taken for CDR already."""
+    """A message as CDR, little endian; bytes count as CDR and are returned unchanged."""
     return given if isinstance(given, bytes) else bytes(_STORE.serialize_cdr(given, given.__msgtype__))
 
 
@@ -36,7 +36,7 @@ def from_cdr(data: bytes, kind: str) -> Any:
     """The message of a type that CDR bytes hold.
 
     Raises:
-        ValueError: they hold none.
+        ValueError: the bytes are no such message.
     """
     try:
         return _STORE.deserialize_cdr(data, kind)
@@ -73,14 +73,14 @@ class MessageMaker:
 
     Args:
         wall_ns: wall-clock time at the bench clock's zero.
-        named: what a frame, or another text that `numbers` is given, is called in the message.
+        named: maps a frame, or another text given to `numbers`, to its name in the message.
     """
 
     def __init__(self, wall_ns: int = 0, named: Callable[[str], str] = str) -> None:
         self._wall_ns, self._named = wall_ns, named
 
     def with_names(self, named: Callable[[str], str]) -> MessageMaker:
-        """One for the same clock that names frames in another way."""
+        """A maker with the same clock that names frames in another way."""
         return MessageMaker(self._wall_ns, named)
 
     def message(self, kind: str, **fields: Any) -> Any:
@@ -91,7 +91,7 @@ class MessageMaker:
         return _STORE.types[kind](**fields)
 
     def time(self, t_ns: int) -> Any:
-        """`builtin_interfaces/Time` of a time on the bench clock; clipped to what 32-bit seconds can say."""
+        """`builtin_interfaces/Time` of a time on the bench clock, clipped to the range of 32-bit seconds."""
         return Time(*self.stamp(t_ns))
 
     def stamp(self, t_ns: int) -> cdr.Stamp:
@@ -138,5 +138,5 @@ class MessageMaker:
 
 
 def _floats(values: Sequence[float] | Array) -> Sequence[float]:
-    """Plain numbers: numpy's take several times as long to write."""
+    """Plain Python numbers: numpy's take several times as long to write."""
     return values.tolist() if isinstance(values, np.ndarray) else values

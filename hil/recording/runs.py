@@ -21,7 +21,7 @@ from hil.core.signals import CycleRecord, RobotState
 from hil.recording.mcap_reader import GO_ON, Note, RecordingReader
 
 START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
-"""How well the state is known that a run begins with, (6, 6): m, m, rad, m/s, m/s and rad/s, squared."""
+"""Covariance of the state that a run begins with, (6, 6): m, m, rad, m/s, m/s and rad/s, squared."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class RunStart:
     trajectory: Mapping[str, Any] | None = None
 
     def note(self) -> dict[str, object]:
-        """As data of a note; floats survive exactly."""
+        """The data of the note that records this start; floats survive exactly."""
         state = self.state
         return {
             "state": {
@@ -63,7 +63,7 @@ class RunStart:
         """The inverse of `note`.
 
         Raises:
-            KeyError, TypeError, ValueError: not such a note.
+            KeyError, TypeError, ValueError: the data are not of such a note.
         """
         state, controller, trajectory = data["state"], data["controller"], data["trajectory"]
         if not (controller is None or isinstance(controller, str)):
@@ -110,7 +110,7 @@ def read_runs(path: str | Path, problems: list[str] | None = None) -> Iterator[R
 def read_cycles_of_runs(
     path: str | Path, problems: list[str] | None = None
 ) -> Iterator[tuple[int, RunStart | None, CycleRecord]]:
-    """Every cycle of a recording with the number of its run and how that began; see `read_runs`.
+    """Every cycle of a recording with the number and the start of its run; see `read_runs`.
 
     Raises:
         DataError: as `read_runs`.

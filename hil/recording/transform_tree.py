@@ -1,9 +1,9 @@
-"""The frame tree of a recording: which coordinate frame hangs on which, from its header and its cycles.
+"""The frame tree of a recording: the parent and pose of each coordinate frame, from header and cycles.
 
 `wall` is the root (the `map` of REP 105) and `body` the robot (`base_link`), carried by the estimate. Fixed
-to the robot are its sensors and wheels; the capture system's frame is the wall's own. The camera counts
-from where it stood when it began: that place is put where the estimate had the camera in the first
-cycle of each run with a good pose, so that what the camera drifts stays visible.
+to the robot are its sensors and wheels; the capture system's frame is the wall's own. The camera's poses are
+relative to its start. The start is placed where the estimate had the camera in the first cycle of each run
+with a good pose, so that the drift of the camera stays visible.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Frame(NamedTuple):
 
 
 def describe_clock(offset: WallOffset | None, ptp: Sequence[Mapping[str, object]] = ()) -> dict[str, object]:
-    """What a header says about the clock of the stamps; `offset` is None for virtual time.
+    """Entry of a header for the clock of the stamps; `offset` is None for virtual time.
 
     `ptp` holds the offsets of hardware clocks, where there are any.
     """
@@ -86,7 +86,7 @@ class FrameTree:
         self._latest_cycle = -1
 
     def follow(self, record: CycleRecord) -> bool:
-        """Whether a cycle moves the body: not where nothing was estimated. Looks where the camera began."""
+        """Find the camera's start in a cycle; returns whether the cycle estimates the body's pose."""
         if record.cycle <= self._latest_cycle:
             self.camera_start = None
         self._latest_cycle = record.cycle
@@ -109,12 +109,12 @@ def _is_known(sample: TrackerSample) -> bool:
 
 
 def _turned(theta_rad: float) -> tuple[float, ...]:
-    """Quaternion of a turn about z."""
+    """Quaternion of a rotation about z."""
     return math.cos(0.5 * theta_rad), 0.0, 0.0, math.sin(0.5 * theta_rad)
 
 
 def _start_of(body: Frame, camera: Frame, sample: TrackerSample) -> Frame:
-    """The camera's start frame in the wall, from where the camera is now and how far it says it came."""
+    """The camera's start frame in the wall, from its present frame and its reported pose."""
     turn = multiplied(body.quaternion_wxyz, camera.quaternion_wxyz)
     axes = multiplied(turn, conjugated(sample.quaternion_wxyz.tolist()))
     place: Array = (

@@ -3,7 +3,7 @@
 `body` is the root. On it hangs a `fork` for each wheel, turned by the joint `steer_*`, and on that a `tyre`,
 turned by `drive_*`. Joint names and angles are those of `/joint_states`, so signs and zeros of the bench are
 in the joints' axes and origins. Sensors hang on fixed joints. Shapes are simple, and there are no inertias:
-it is to be looked at.
+the URDF is for display only.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Limits of the difference between a replay and its recording where their arithmetic differs.
 
 Rounding differs in the last digits between processors and libraries (`hil.support.arithmetic_fingerprint`).
-On whole
-recordings these digits stay small: `LIMITS` lies about a thousand times above the largest difference that was
-found, and well below what any sensor resolves. Everything that is not a number must be equal: events, which
-samples were used, flags, counts.
+Over whole recordings these differences stay small: `LIMITS` lies about a thousand times above the largest one
+that was found, and well below the resolution of any sensor. Everything that is not a number must be equal:
+events, which samples were used, flags, counts.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class Limit:
     Attributes:
         value: largest difference that agrees.
         unit: of `value`: `m`, `rad`, `rad/s`, ... or what `value` is a share of.
-        least: for a share of the value's own size: sizes below this count as this.
+        least: for a share of the value's own size: smaller sizes count as this one.
     """
 
     value: float
@@ -80,8 +79,8 @@ class Agreement:
 
     Attributes:
         largest: by name in `LIMITS`, in the unit given there; only quantities of which there was a number.
-        flip: the first difference of the latest cycle that is no number's: a flag, a count, an event. None
-            without.
+        flip: the first difference of the latest cycle in something other than a number: a flag, a count, an
+            event. None without one.
     """
 
     def __init__(self) -> None:
@@ -102,7 +101,7 @@ class Agreement:
         return self._first(((name, recorded[name], decided[name]) for name in recorded), "", ())
 
     def _first(self, fields: Fields, where: str, quantities: tuple[str, ...]) -> str | None:
-        """Compare all fields, so that `largest` is complete; what the first beyond its limit is."""
+        """Compare all fields, so that `largest` is complete; returns the first one beyond its limit."""
         first: str | None = None
         for name, a, b in fields:
             place = f"{where}.{name}" if where else name
@@ -139,7 +138,7 @@ class Agreement:
         return first
 
     def _judge(self, quantity: str, off: float, a: float, b: float, where: str) -> str | None:
-        """Keep a difference if it is the largest; what it is if it is beyond the limit."""
+        """Keep a difference if it is the largest; returns its description if it is beyond the limit."""
         limit, size = LIMITS[quantity], off if math.isfinite(off) else 0.0
         self.largest[quantity] = max(self.largest.get(quantity, 0.0), size)
         if off <= limit.value:
@@ -192,7 +191,7 @@ def _digits(number: str) -> int:
 
 
 def _fields(a: Any, b: Any) -> Fields | None:
-    """What two values of one form are made of, with names; None for a leaf or for two forms."""
+    """Named parts of two values of the same structure; None for a leaf or for different structures."""
     if isinstance(a, Event) and isinstance(b, Event) and same_text(a.message, b.message):
         b = dataclasses.replace(b, message=a.message)
     if dataclasses.is_dataclass(a) and type(a) is type(b):

@@ -1,8 +1,8 @@
 """Other estimators on a recording: error against motion capture, and consistency (NEES).
 
 `compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
-hold them against motion capture (`truth_of`) and against what they say of themselves; `fitting` chooses the
-filters by the sensors that were heard.
+compare them with motion capture (`truth_of`) and with their own covariances; `fitting` chooses the filters by
+the sensors that sent data.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from hil.robot.odometry import displacements, sample_path
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
 """Names of sensors by their fields of `Measurements`."""
 REST_RAD_S, REST_S = 0.04, 0.1
-"""A robot rests whose wheels turn slower than this (1 mm/s on wheels of 25 mm) for so long."""
+"""A robot is at rest if its wheels turn slower than this (1 mm/s on wheels of 25 mm) for this long."""
 
 
 def rest_on_wheels(sensors: Iterable[str]) -> bool:
-    """Whether nothing but the wheels says how the robot moved; motion capture is the truth."""
+    """Whether only the wheels measured the motion; motion capture does not count, it is the truth."""
     return not {"gyro", "tracker"} & set(sensors)
 
 
 def fitting(bench: BenchModel, sensors: Iterable[str]) -> BenchModel:
-    """The bench with filters that suit the sensors that were heard."""
+    """The bench with filters that suit the sensors that sent data."""
     return (
         bench.with_estimator(bench.config.estimator.on_wheels_alone()) if rest_on_wheels(sensors) else bench
     )
 
 
 def sensors_text(bench: BenchModel, sensors: Sequence[str]) -> str:
-    """Which sensors a run has, and what filters make of a run of wheels alone."""
+    """Sensors of a run in words, and the process noise of the filters if it has wheels alone."""
     absent = [word for name, word in SENSORS.items() if name not in sensors]
     text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)
     if absent:
@@ -69,7 +69,7 @@ def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotS
     """The run with the states of another estimator, fed with the recorded measurements.
 
     Raises:
-        UsageError: an estimator of one's own has returned no state, or a wrong one.
+        UsageError: a user's estimator has returned no state, or a wrong one.
     """
     reset_estimator(estimator, start)
     estimate = asked(estimator)
@@ -77,7 +77,7 @@ def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotS
 
 
 def _with_state(r: CycleRecord, state: RobotState) -> CycleRecord:
-    """As `dataclasses.replace`, which takes four times as long."""
+    """Like `dataclasses.replace`, which takes four times as long."""
     return CycleRecord(
         r.cycle,
         r.deadline_ns,
@@ -102,7 +102,7 @@ def smoothed(
     surface: str,
     start: RobotState,
 ) -> Motion:
-    """The run with the states of the smoother, which knows all measurements at every cycle."""
+    """The run with the states of the smoother, which uses all measurements for every cycle."""
     from hil.estimator.smoother import smooth
 
     states = smooth(config, geometry, surface, [r.measurements for r in records], start)
@@ -118,10 +118,10 @@ def compare_run(
     source: str = "the recording",
     recorded: bool = True,
 ) -> dict[str, Motion]:
-    """A run as it was estimated then (`recorded`), and as estimators see it, by kind or name.
+    """A run with its recorded estimates (`recorded`), and with those of estimators, by kind or name.
 
-    An observer of the user's own is there as it was recorded (`recorded NAME`): a recording has no code.
-    Where there is neither gyro nor camera the filters are those of `fitting`.
+    An observer of the user's own keeps its recorded estimates (`recorded NAME`): a recording has no code.
+    Without gyro and camera the filters are those of `fitting`.
 
     Args:
         run: from its first cycle.
@@ -132,9 +132,9 @@ def compare_run(
         recorded: whether the recording has estimates of its own; a foreign one has not.
 
     Raises:
-        ConfigError: an estimator of one's own has raised something.
+        ConfigError: a user's estimator has raised an exception.
         DataError: the recording does not say how the run began.
-        UsageError: an estimator of one's own has returned no state, or a wrong one.
+        UsageError: a user's estimator has returned no state, or a wrong one.
     """
     if run.start is None:
         raise DataError(source, "does not say how its run began")
@@ -156,7 +156,7 @@ def compare_run(
 
 
 def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
-    """The recorded states of observers that replay cannot make again, the user's own, by row."""
+    """The recorded states of observers that replay cannot run again, the user's own, by row."""
     names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
     return {
         f"recorded {name}": Motion(
@@ -171,7 +171,7 @@ def _nothing(t_ns: int) -> RobotState:
 
 
 def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
-    """`errors` and `consistency` of motions of one run by name; None for figures that there are not."""
+    """`errors` and `consistency` of motions of one run by name; None for a missing figure."""
     truth = truth_of(next(iter(motions.values()))) if motions else None
     return {
         name: {
@@ -185,8 +185,8 @@ def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
 def truth_of(motion: Motion) -> Array:
     """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where it is unknown.
 
-    The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: of a robot
-    that drives it says where it has been. Samples that come slowly count for the cycle next to each.
+    The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: for a driving
+    robot it is out of date. Slow samples count only for the nearest cycle each.
     """
     at_s, poses = _samples(motion)
     if not len(at_s):
@@ -214,7 +214,7 @@ def _samples(motion: Motion) -> tuple[Array, Array]:
 
 
 def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
-    """How sure an estimator was against how wrong it was; `truth` (n, 3) as for `errors`.
+    """Consistency of an estimator: its covariance against its errors; `truth` is (n, 3), see `truth_of`.
 
     Returns:
         `nees_pose`, mean of e' P^-1 e over the cycles (3 is ideal, more is over-confident); running means
@@ -241,7 +241,7 @@ def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
 
 
 def _mean_nis(figures: Mapping[str, float], name: str) -> float:
-    """NaN where no sample was ever compared: the mean then is the ideal that it began with."""
+    """Mean NIS; NaN if no sample was ever compared, because the mean then has its initial, ideal value."""
     mean, latest = figures.get(f"nis_mean_{name}", np.nan), figures.get(f"nis_{name}", 0.0)
     return float("nan") if mean == 1.0 and latest == 0.0 else float(mean)
 
@@ -249,8 +249,8 @@ def _mean_nis(figures: Mapping[str, float], name: str) -> float:
 def errors(motion: Motion) -> dict[str, float]:
     """Errors against motion capture at its own samples, as `hil evaluate` has them; NaN without it.
 
-    Between two cycles the estimate goes on with constant twist. The error at the end is that of the last
-    sample; NaN where that is `HELD_S`, and more than two samples take, before the end.
+    Between two cycles the estimate is extrapolated with constant twist. The error at the end is that of the
+    last sample; NaN if that sample lies `HELD_S`, and more than two sample intervals, before the end.
 
     Returns:
         `rmse_position_m`, `rmse_theta_rad`, `final_position_m`, `max_position_m`.
@@ -281,7 +281,7 @@ def errors(motion: Motion) -> dict[str, float]:
 def compare(
     records: Sequence[CycleRecord], estimators: Mapping[str, Estimator], start: RobotState
 ) -> dict[str, Motion]:
-    """The run as recorded and as each estimator sees it, by name."""
+    """The run as recorded, and with the states of each estimator, by name."""
     motions = {"recorded": Motion(tuple(records))}
     for name, estimator in estimators.items():
         motions[name] = estimate(records, estimator, start)

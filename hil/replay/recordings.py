@@ -36,18 +36,18 @@ _FOREIGN_BENCH = "emulated_floor"
 _NAMED = 4
 _BLOCK_S = 0.1
 _PAIR = 2
-"""A pair of the public recordings, of which both are known, is read from two files."""
+"""Number of files of a pair of the public recordings, whose robot and surface are known."""
 
 
 @dataclass
 class OpenedRecording:
-    """A recording, and the bench of its making, as far as it is configuration.
+    """A recording, and the bench that made it, as far as configuration describes it.
 
     Attributes:
         foreign: not one of ours: wheels and ground truth, nothing estimated.
-        problems: what could not be read; complete once `runs` has been asked for.
-        robot: whose wheels a foreign one is read for.
-        tables: what was read of a foreign one; complete once `runs` has been asked for.
+        problems: what could not be read; complete after `runs` was read.
+        robot: nominal robot whose wheels a foreign recording is read for.
+        tables: what was read of a foreign one; complete after `runs` was read.
         named: whether the user has said which bench a foreign recording is of.
         failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
     """
@@ -76,7 +76,7 @@ class OpenedRecording:
         return self.runs[number]
 
     def doubts(self) -> list[str]:
-        """A failed calibration; what is assumed of a foreign recording, and why its wheels cannot be so."""
+        """Warnings: a failed calibration; assumptions about a foreign recording; wrong wheels."""
         failed = [self.failed] if self.failed else []
         if not self.tables:
             return failed
@@ -96,7 +96,7 @@ class OpenedRecording:
         )
 
     def must_hold(self, runs: int, number: int | None) -> None:
-        """Refuse a recording without a run, and a number of which there is none.
+        """Refuse a recording without a run, and a run number that does not exist.
 
         Raises:
             DataError: there is no run.
@@ -112,7 +112,7 @@ class OpenedRecording:
 def open_recording(
     path: Path, *, bench: str | None = None, calibration: Path | None = None, topics: Path | None = None
 ) -> OpenedRecording:
-    """Find out what a recording is, and put the bench of its making together.
+    """Detect the kind of a recording, and rebuild the bench that made it.
 
     Args:
         path: one of ours (`.mcap`), a bag of another robot (with `topics`), or CSV.
@@ -164,7 +164,7 @@ def open_recording(
 
 
 def _refuse_folder(folder: Path) -> NoReturn:
-    """Name the recordings of a folder, of which one is to be named."""
+    """Raise an error that lists the recordings of a folder: only one can be opened."""
     names = [job.files[0].name for job in find_recordings([folder])]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     count = f"{len(names)} recordings" if len(names) > 1 else "1 recording"
@@ -211,7 +211,7 @@ def _bench(
     """The bench of a configuration, and a sentence where the calibration failed its own validation run.
 
     A recorded configuration contains every value, chosen or default. Where the bench is not `known` its
-    robot is assumed, and the calibration may be another's.
+    robot is assumed, and the calibration may be another robot's.
     """
     failed = ""
     if calibration is not None:

@@ -22,7 +22,7 @@ def check_named(named: str) -> None:
     """Refuse what names neither a shipped estimator nor one in a file or module.
 
     Raises:
-        UsageError: names what is meant, where it is near.
+        UsageError: suggests a known name that is near.
     """
     if named in COMPARED or ":" in named:
         return
@@ -42,7 +42,7 @@ def make_own(named: str, bench: BenchModel) -> Estimator:
 
 
 def unknown_states(name: str, motion: Motion) -> Iterator[str]:
-    """One line where poses or covariances of an estimator are not finite: they are in no figure."""
+    """A warning if poses or covariances of an estimator are not finite: figures leave them out."""
     known = np.isfinite(motion.estimate).all(axis=1) & np.isfinite(motion.covariance).all(axis=(1, 2))
     unknown = np.flatnonzero(~known)
     if len(unknown):

@@ -28,7 +28,7 @@ from hil.support.arithmetic_fingerprint import fingerprint
 IDENTICAL, AGREES, DIFFERS = "identical", "agrees", "differs"
 """Verdicts, from best to worst."""
 DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events", "observers")
-"""Fields of a cycle record that the pipeline makes of its inputs."""
+"""Fields of a cycle record that the pipeline computes from its inputs."""
 FLIP = (
     "A sample or an event that falls to the other side of its threshold is more than the limits allow, and "
     "all that follows differs, too. Such a flip may come from the other arithmetic alone"
@@ -37,11 +37,11 @@ FLIP = (
 
 
 _STOP = re.compile(r"robot stopped \((\w+)\): (.*)", re.DOTALL)
-"""How a `SafetyStop` reads."""
+"""Text of a `SafetyStop`."""
 
 
 class RecordedReferences:
-    """The recorded references in their order: stands in for a trajectory that cannot be built again."""
+    """The recorded references in order, in place of a trajectory that cannot be built again."""
 
     def __init__(self, records: Iterable[CycleRecord] = ()) -> None:
         self._records = deque(records)
@@ -54,7 +54,7 @@ class RecordedReferences:
         """Reference of the next cycle.
 
         Raises:
-            SafetyStop: the command from outside has stopped the robot there.
+            SafetyStop: an external command stopped the robot in that cycle.
         """
         record = self._records.popleft()
         if record.reference is None:
@@ -67,17 +67,17 @@ class RecordedReferences:
 
 
 class RecordedCommands:
-    """What a program that drove had sent, cycle by cycle: stands in for it."""
+    """The recorded commands of a program that drove, cycle by cycle, in place of the program."""
 
     def __init__(self) -> None:
         self._latest = ExternalCommands()
 
     def add(self, record: CycleRecord) -> None:
-        """Take those of a further cycle."""
+        """Take the commands of a further cycle."""
         self._latest = record.external or ExternalCommands()
 
     def __call__(self, _: CycleRecord) -> ExternalCommands:
-        """Those of the latest cycle."""
+        """Commands of the latest cycle."""
         return self._latest
 
 
@@ -88,7 +88,7 @@ def verify_cycle(
 
     Args:
         cycle: as recorded.
-        pipeline: put together as for the run.
+        pipeline: rebuilt for the run.
         agreement: takes the differences.
         exact: whether every bit must be equal.
 
@@ -152,12 +152,12 @@ def rebuild(bench: BenchModel, start: RunStart) -> ControlPipeline:
 
 
 class RunCheck:
-    """Whether a run repeats, cycle by cycle, so that none has to be kept.
+    """Checks cycle by cycle whether a run repeats, without keeping cycles in memory.
 
     Args:
-        bench: of its making.
-        start: how it began, None where the recording does not say.
-        exact: whether every bit must be equal, as with the arithmetic of its making.
+        bench: that made it.
+        start: how it began, None if the recording does not contain it.
+        exact: whether every bit must be equal, as with the arithmetic of the recording.
         number: of the run in its recording.
 
     Attributes:
@@ -220,7 +220,7 @@ class RunCheck:
 
 
 def _foreign(start: RunStart) -> str:
-    """Which parts of a run cannot be made again, because they are not of this package; empty for none."""
+    """Names the parts of a run that cannot run again because they are not of this package; else empty."""
     named = start.controller
     known = named in (None, SCRIPT, *LAWS) or (named is not None and named.startswith(ROS2))
     laws = () if known else (named,)
@@ -246,7 +246,7 @@ def verify_run(bench: BenchModel, run: RecordedRun) -> dict[str, Any]:
 def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict[str, Any]:
     """Whether every run of a recording repeats, or one by its number.
 
-    A recording of ours is read, decided upon and let go of in one pass, whatever its length.
+    A recording of ours is verified in one pass, cycle by cycle, so its length needs no memory.
 
     Returns:
         `verdict` (the worst of all runs), `recorded_with` and `verified_with` (fingerprints of the

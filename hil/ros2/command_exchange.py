@@ -1,7 +1,7 @@
-"""Shows the cycles of one bench to the program that drives it, and takes what that commands.
+"""Publishes the cycles of one bench for the program that drives it, and receives its commands.
 
-In real time the loop waits for a share of the cycle, then goes on with what there is. In virtual time it
-waits for the command that belongs to the cycle, and the bench's time stands meanwhile.
+In real time the loop waits for a share of the cycle, then continues with the commands that have arrived. In
+virtual time it waits for the command that belongs to the cycle; the bench's time stands still meanwhile.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _STATES_AGAIN = 25
 
 
 class Shown(Protocol):
-    """By what a cycle is shown."""
+    """Publishes cycles for the program."""
 
     @abstractmethod
     def show(self, seen: CycleRecord) -> Collection[int]:
@@ -35,18 +35,19 @@ class Shown(Protocol):
 
 
 class Exchange:
-    """With one program, for one bench.
+    """Exchange of cycles and commands with one program, for one bench.
 
     Args:
-        topic: from which its commands come.
-        shown: publishes.
+        topic: of its commands.
+        shown: publishes the cycles.
         config: `[ros2]` of the bench file.
         clock: of the host.
         wall_ns: ROS time at the bench clock's zero.
-        patient: whether the first command is waited for as long as it takes.
+        patient: whether to wait for the first command without a timeout.
 
     Attributes:
-        cycles, answered: that were shown since the bench was opened, and those with a command in time.
+        cycles, answered: numbers of cycles published since the bench was opened, and of those with a
+            command in time.
     """
 
     def __init__(
@@ -65,17 +66,17 @@ class Exchange:
         self.begin()
 
     def begin(self) -> None:
-        """A run begins: the first command is waited for."""
+        """Begin a run: its first command is not here yet."""
         self._began_ns: int | None = None
-        self._heard = False
-        self._heard_ns = 0
+        self._received = False
+        self._received_ns = 0
 
     def in_real_time(self, seen: CycleRecord, until_ns: int) -> ExternalCommands:
-        """All that has come since the last call.
+        """Publish a cycle and wait for an answer; returns all commands since the last call.
 
         Args:
-            seen: is shown first.
-            until_ns: by the bench's clock, how long to wait for an answer.
+            seen: the cycle.
+            until_ns: end of the wait for an answer, bench clock.
         """
         messages = self._topic.take()
         self._shown.show(seen)
@@ -88,22 +89,22 @@ class Exchange:
         self.answered += bool(answers)
         now_ns = self._clock.now_ns()
         came = [*messages, *answers]
-        stop = self._stop_of_publishers() or self._stop_of_silence(now_ns, heard=bool(came))
+        stop = self._stop_of_publishers() or self._stop_of_silence(now_ns, received=bool(came))
         if stop is not None:
             return stop
         if came:
-            self._heard_ns = now_ns
-        elif self._heard and seen.inputs.t_ns - self._heard_ns > nanoseconds(self._config.late_after_s):
+            self._received_ns = now_ns
+        elif self._received and seen.inputs.t_ns - self._received_ns > nanoseconds(self._config.late_after_s):
             return ExternalCommands((), trouble=self._topic.who())
         return self._passed_on(came, now_ns)
 
     def in_lockstep(self, seen: CycleRecord) -> ExternalCommands:
-        """The one command of a cycle."""
+        """Publish a cycle, and wait for the one command that belongs to it."""
         self._topic.take()
         stamps, t_ns = self._shown.show(seen), seen.inputs.t_ns
         latest_ns = max(stamps, default=t_ns)
         config, began_ns = self._config, self._clock.now_ns()
-        limit_s = config.answer_timeout_s if self._heard else config.start_timeout_s
+        limit_s = config.answer_timeout_s if self._received else config.start_timeout_s
         others, turns = 0, 0
         self.cycles += 1
         while True:
@@ -116,15 +117,15 @@ class Exchange:
             for command in found.commands:
                 copied = command.stamp_ns in stamps and command.stamp_ns != t_ns
                 if copied or command.stamp_ns is None or t_ns <= command.stamp_ns <= latest_ns:
-                    self._heard = True
+                    self._received = True
                     self.answered += 1
                     return ExternalCommands((command,), only_synchronised=not copied)
                 others += 1
             if self._clock.now_ns() - began_ns > nanoseconds(limit_s):
                 return ExternalCommands((), LOCKSTEP, self._unanswered(seen.cycle, limit_s, others))
             turns += 1
-            if not self._heard and turns % _STATES_AGAIN == 0:
-                self._shown.show(seen)  # what was written before both sides had found each other is lost
+            if not self._received and turns % _STATES_AGAIN == 0:
+                self._shown.show(seen)  # messages before the end of discovery are lost
             else:
                 self._shown.show_time()
 
@@ -141,13 +142,13 @@ class Exchange:
             return None
         return ExternalCommands((), PUBLISHERS, self._topic.why_several())
 
-    def _stop_of_silence(self, now_ns: int, *, heard: bool) -> ExternalCommands | None:
-        """In real time, when the first command has not come for long; later the controller's age counts."""
-        self._heard = self._heard or heard
+    def _stop_of_silence(self, now_ns: int, *, received: bool) -> ExternalCommands | None:
+        """In real time, stop if the first command does not come; later the controller checks the age."""
+        self._received = self._received or received
         if self._began_ns is None:
             self._began_ns = now_ns
         limit_s = self._config.start_timeout_s
-        if self._heard or self._patient or now_ns - self._began_ns <= nanoseconds(limit_s):
+        if self._received or self._patient or now_ns - self._began_ns <= nanoseconds(limit_s):
             return None
         return ExternalCommands((), NO_COMMAND, f"no command within {limit_s:g} s: {self._why()}")
 

@@ -1,6 +1,6 @@
 """The topic from which a program on ROS 2 commands the robot: joints, or a velocity of the body.
 
-What arrives is passed on as it is. Messages of each type are taken, whichever the program sends.
+Messages are passed on unchanged. Messages of all these types are received, whichever the program sends.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class CommandTopic:
     Args:
         participant: on ROS 2.
         topic: its name, with a slash.
-        reliable: whether no message may be lost; writers that do not promise that are not heard then.
-        types: of messages that are taken.
+        reliable: whether to require reliable delivery; best-effort writers do not match then.
+        types: of messages that are received.
 
     Attributes:
         name: of the topic.
@@ -57,41 +57,41 @@ class CommandTopic:
         self._readers = {kind: participant.add_reader(topic, kind, reliable=reliable) for kind in types}
         self._arrival: Any = participant.wait_set(list(self._readers.values()))
         self._clock = MonotonicClock()
-        self._heard_ns: dict[int, int] = {}
+        self._received_ns: dict[int, int] = {}
         names = " or ".join(kind.replace("/msg/", "/") for kind in types)
         self.where = f"ros2:{topic}, {names}, {participant.network.in_words()}"
 
     def publishers(self) -> Set[int]:
-        """Handles of the writers that there are now, of any of the types."""
+        """Handles of the present writers of all types."""
         return {handle for reader in self._readers.values() for handle in reader.writers()}
 
     def described(self) -> list[Publisher]:
-        """The same, as DDS describes them."""
+        """The present writers with their descriptions from DDS."""
         return list(self._participant.publishers(self._readers))
 
     def silent_s(self, handle: int) -> float | None:
         """Time since a publisher's last message was taken, of the host's clock; None if none was."""
-        heard_ns = self._heard_ns.get(handle)
-        return None if heard_ns is None else seconds(self._clock.now_ns() - heard_ns)
+        received_ns = self._received_ns.get(handle)
+        return None if received_ns is None else seconds(self._clock.now_ns() - received_ns)
 
     def types(self) -> list[str]:
         """Types that are published now."""
         return [kind for kind, reader in self._readers.items() if reader.writers()]
 
     def wait(self, for_ns: int) -> None:
-        """Until something can be taken, at most so long."""
+        """Wait until a message has arrived, at most `for_ns`."""
         self._arrival.wait(max(0, for_ns))
 
     def take(self) -> list[tuple[str, bytes]]:
-        """Type and bytes of what has come since the last call, in order within each type; never blocks."""
+        """Type and bytes of messages since the last call, in order within each type; never blocks."""
         taken = [(kind, *sample) for kind, reader in self._readers.items() for sample in reader.take()]
         if taken:
             now_ns = self._clock.now_ns()
-            self._heard_ns.update((writer, now_ns) for _, writer, _ in taken)
+            self._received_ns.update((writer, now_ns) for _, writer, _ in taken)
         return [(kind, data) for kind, _, data in taken]
 
     def who(self) -> str:
-        """How many publishers there are, which, and how long each has been silent."""
+        """Publishers in words: number, names, and time since the last command of each."""
         found = self.described()
         if not found:
             return "no publisher any more"
@@ -105,18 +105,18 @@ class CommandTopic:
         return f"{len(found)} publisher{'s' * (len(found) > 1)}: {'; '.join(each)}{killed}"
 
     def why_several(self) -> str:
-        """Which publishers the topic has, of which all but one must be ended."""
+        """Message about several publishers: which there are, and that only one may stay."""
         return f"{self.name} has {self.who()}; end all but one"
 
     def why_silent(self) -> str:
-        """Who sends nothing, and what to look at."""
+        """Message about silent publishers: which they are, and what to check."""
         return (
             f"{self.where} has {self.who()}; look whether it runs, and what it waits for; for ros2_control's "
             "topic-based hardware set trigger_joint_command_threshold to -1"
         )
 
     def why_none(self) -> str:
-        """Where a publisher was looked for, and what else is there."""
+        """Message about a missing publisher: where it is expected, what else is published, what to check."""
         found = f"nothing publishes {self.where}"
         others = ", ".join(self._participant.other_types(self.name, self._types))
         if others:
@@ -133,14 +133,14 @@ class CommandTopic:
         )
 
     def close(self) -> None:
-        """Let go. Idempotent; never raises."""
+        """Close the readers. Idempotent; never raises."""
         self._arrival = None
         for reader in self._readers.values():
             reader.close()
 
 
 def commands_of(messages: Sequence[tuple[str, bytes]], t_ns: int, wall_ns: int) -> Iterator[ExternalCommand]:
-    """Commands that messages hold.
+    """Decode the commands in messages.
 
     Args:
         messages: types and bytes.
@@ -148,7 +148,7 @@ def commands_of(messages: Sequence[tuple[str, bytes]], t_ns: int, wall_ns: int) 
         wall_ns: ROS time at the bench clock's zero.
 
     Raises:
-        ValueError: one holds none.
+        ValueError: a message holds no valid command.
     """
     for kind, data in messages:
         message = from_cdr(data, kind)

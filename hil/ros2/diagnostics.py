@@ -18,15 +18,15 @@ class Diagnostics:
     """Makes the messages of one bench.
 
     Args:
-        name: of the bench: the hardware that they are about.
-        ros: stamps them.
+        name: of the bench; goes into the messages as the hardware.
+        ros: makes and stamps messages.
     """
 
     def __init__(self, name: str, ros: MessageMaker) -> None:
         self._name, self._ros = name, ros
 
     def events(self, t_ns: int, events: Sequence[Event]) -> bytes:
-        """What one cycle has to tell; the status of each has its source in its name.
+        """Message with the events of one cycle; each status is named after the source of its event.
 
         Args:
             t_ns: bench time.
@@ -36,7 +36,7 @@ class Diagnostics:
         return self._array(t_ns, statuses)
 
     def held(self, t_ns: int, held: Mapping[str, object]) -> bytes:
-        """How the robot was left.
+        """Message on how the robot was left.
 
         Args:
             t_ns: bench time.

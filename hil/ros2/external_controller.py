@@ -1,7 +1,7 @@
-"""What the commands of a program on ROS 2 mean, and when the robot stops by them.
+"""Turns the commands of a ROS 2 program into set-points; stops the robot if they are late or invalid.
 
-A function of the commands that came and of the times of the cycles, so that replay finds the same. Joint
-commands are in the servos' own angles, as `/joint_states` and `/robot_description` have them.
+The result depends only on the received commands and on the times of the cycles, so that replay repeats it.
+Joint commands are in the servos' own angles, as `/joint_states` and `/robot_description` have them.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _SYNCHRONISED = (
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Beyond what a command cannot be meant, or is held back.
+    """Limits of joint commands: a command beyond them is rejected, or its steering rate is limited.
 
     Attributes:
-        wheel_rate_rad_s, steering_rad: largest of a joint; more is a mistake.
-        steering_rate_rad_s: how fast steering angles are passed on at most.
-        late_after_s: age of a command that is too old.
+        wheel_rate_rad_s, steering_rad: largest size of a joint's command; a larger one stops the robot.
+        steering_rate_rad_s: rate limit of the steering set-points.
+        late_after_s: age beyond which a command is too old.
         period_s: of the loop.
     """
 
@@ -49,7 +49,7 @@ class JointLimits:
 
 
 class Ros2Controller(ExternalController):
-    """Drives by the newest command.
+    """Controller that follows the newest command of a ROS 2 program.
 
     Args:
         name: `ros2:` and the topic.
@@ -72,24 +72,24 @@ class Ros2Controller(ExternalController):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Reset to the state before a run."""
         self.begun, self.warning = False, ""
         self._modules.reset()
         self._setpoint: WheelSetpoint | None = None
         self._twist: Array | None = None
         self._sent_rad: Array | None = None
-        self._heard_ns = self._stamp_ns = self._stood_ns = 0
+        self._command_ns = self._stamp_ns = self._stood_ns = 0
 
     def update(self, seen: CycleRecord, wheels: WheelMeasurement | None) -> WheelSetpoint | None:
-        """Setpoint by the newest command; until the first one, rest where the wheels stand."""
-        heard = self.heard = self.ask(seen)
-        if heard.reason:
-            raise SafetyStop(heard.reason, heard.trouble)
-        for command in heard.commands:
+        """Set-point of the newest command; before the first, wheels at rest and measured steering angles."""
+        received = self.heard = self.ask(seen)
+        if received.reason:
+            raise SafetyStop(received.reason, received.trouble)
+        for command in received.commands:
             self._take(command)
         if self.begun:
-            self._must_be_in_time(seen.inputs.t_ns, heard.trouble)
-        if heard.only_synchronised:
+            self._must_be_in_time(seen.inputs.t_ns, received.trouble)
+        if received.only_synchronised:
             self.warning = f"{self._topic}: {_SYNCHRONISED}"
         return None if wheels is None else self._decided(wheels)
 
@@ -107,29 +107,29 @@ class Ros2Controller(ExternalController):
         return WheelSetpoint(self._setpoint.wheel_rate_rad_s.copy(), self._sent_rad.copy())
 
     def _take(self, command: ExternalCommand) -> None:
-        """Judge a command, and go by it from now on."""
+        """Check a command, and make it the current one."""
         if command.kind == "twist":
             self._twist, self._setpoint = body_velocity(command, self._topic, "surface"), None
         else:
             self._twist, self._setpoint = None, self._joints(command)
-        self._heard_ns = command.t_ns
+        self._command_ns = command.t_ns
         stamp_ns = command.stamp_ns
         if stamp_ns is None or stamp_ns > self._stamp_ns or not self.begun:
             self._stamp_ns, self._stood_ns = stamp_ns or 0, command.t_ns
         self.begun = True
 
-    def _must_be_in_time(self, t_ns: int, who: str) -> None:
-        silent_ns = t_ns - self._heard_ns
+    def _must_be_in_time(self, t_ns: int, publishers: str) -> None:
+        silent_ns = t_ns - self._command_ns
         if silent_ns > self._late_ns:
             self._stop(
                 LATE,
                 f"has sent no command for {silent_ns / NS_PER_S:.3f} s (ros2.late_after_s)"
-                + (f", and has {who}" if who else ""),
+                + (f", and has {publishers}" if publishers else ""),
                 "look whether the controller runs and keeps up; for ros2_control's topic-based hardware set "
                 "trigger_joint_command_threshold to -1, else it sends nothing while nothing changes",
             )
-        if self._heard_ns - self._stood_ns > self._late_ns:
-            stood_s = (self._heard_ns - self._stood_ns) / NS_PER_S
+        if self._command_ns - self._stood_ns > self._late_ns:
+            stood_s = (self._command_ns - self._stood_ns) / NS_PER_S
             self._stop(
                 CLOCK,
                 f"has sent commands for {stood_s:.3f} s whose stamps do not go on",
@@ -163,7 +163,7 @@ class Ros2Controller(ExternalController):
     def _by_joint(
         self, command: ExternalCommand, what: str, values: Array, joints: tuple[str, ...]
     ) -> Mapping[str, float]:
-        """Values by name, of the joints that are commanded so: in their order among the names."""
+        """Values by joint name; they are in the order in which `joints` appear among the command's names."""
         if len(values) != len(joints):
             self._stop(
                 COMMAND,
@@ -222,5 +222,5 @@ def _stop(topic: str, reason: str, what: str, remedy: str) -> NoReturn:
 
 
 def _no_program(_: CycleRecord) -> ExternalCommands:
-    """What a program says that nothing is attached to."""
+    """No commands: the default while no program is attached."""
     return ExternalCommands()

@@ -63,7 +63,7 @@ def sample_type(kind: str, distribution: str = "humble") -> Any:
 
     @classmethod  # type: ignore[misc]
     def deserialize_key(cls: Any, *_: object, **__: object) -> Any:
-        """Of the sample without data by which DDS says that the last publisher is gone."""
+        """Called for the sample without data by which DDS reports that the last publisher is gone."""
         return cls(b"")
 
     def begin(self: Any, data: bytes) -> None:

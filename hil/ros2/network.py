@@ -1,7 +1,7 @@
-"""Where the bench is on DDS, and as what: domain, network interface, node; the configuration of Cyclone DDS.
+"""The bench's place on DDS: domain, network interface, node; and the configuration of Cyclone DDS.
 
-Every host that reaches the ports can read the bench, and command it where it takes commands: DDS has no
-password. So it stays on this computer unless an interface is named.
+Every host that reaches the ports can read the bench, and command it if it accepts commands: DDS has no
+password. So only this computer can reach the bench unless an interface is named.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Network:
         """XML for Cyclone DDS.
 
         Discovery every second: a ROS 2 node of default settings announces itself by multicast, which is not
-        heard on loopback, so it is found by the bench's own announcements. Key hashes: without them Fast DDS
-        does not understand that a bench has ended, and takes it for alive for 10 s more.
+        received on loopback, so it is found by the bench's own announcements. Key hashes: without them Fast
+        DDS does not notice that a bench has ended, and lists it for 10 s more.
         """
         names = [self.interface, _LOOPBACK] if self.reaches_out else [_LOOPBACK]
         interfaces = "".join(f"<NetworkInterface name={quoteattr(name)}/>" for name in names)
@@ -69,13 +69,13 @@ class Network:
 def network_of(
     config: Ros2Config, environment: Mapping[str, str], *, domain: int | None = None, interface: str = ""
 ) -> Network:
-    """Where a bench can be found: as asked for, else as its file says, else as the environment does.
+    """Network of a bench: from the arguments, else from its file, else from the environment.
 
     Args:
         config: `[ros2]` of the bench file.
         environment: of the process.
-        domain: asked for; None for none.
-        interface: asked for; empty for none.
+        domain: that was asked for; None if none was.
+        interface: that was asked for; empty if none was.
 
     Raises:
         UsageError: the environment names no domain.

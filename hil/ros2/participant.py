@@ -4,7 +4,7 @@ For `ros2 node list` it publishes its writers and readers on `ros_discovery_info
 learns which node has which endpoints of DDS. Identifiers are longer in Humble than in later distributions,
 and one of the wrong length is misread. So the distribution has to be known.
 
-To import this module loads cyclonedds and rosbags, which takes some tenths of a second.
+Importing this module loads cyclonedds and rosbags, which takes some tenths of a second.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ _PACKAGE = "rmw_dds_common/msg/"
 _ENTITIES = f"{_PACKAGE}ParticipantEntitiesInfo"
 LOG = logging.getLogger(__name__)
 LATCHED = ("/tf_static", "/robot_description")
-"""Topics whose last message also those get who subscribe later."""
+"""Topics whose last message is also sent to later subscribers."""
 _DEPTH, _DEPTHS = 10, {"/tf": 100}
 _MOST = 10_000
-"""Writers that are looked through."""
+"""Most writers that are examined."""
 _ENCODING = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
-"""What ROS 2 writes and reads: version 1 of CDR."""
+"""Data representation of ROS 2: version 1 of CDR."""
 _LONGEST_BLOCK = duration(milliseconds=1)
 
 
@@ -93,13 +93,13 @@ class NodeEntry:
 class Reader:
     """Messages of a topic, as CDR bytes.
 
-    Best effort takes from writers of either reliability.
+    A best-effort reader matches writers of either reliability.
 
     Args:
         participant: of Cyclone DDS.
         name: of the ROS 2 topic, with a slash.
         kind: of its messages.
-        reliable: whether nothing may be lost on the way.
+        reliable: whether to require reliable delivery.
 
     Attributes:
         entity: of Cyclone DDS; None once it is closed.
@@ -116,7 +116,7 @@ class Reader:
         self.entity: Any = DataReader(participant, topic, quality)
 
     def take(self) -> list[tuple[int, bytes]]:
-        """Writer and bytes of what has come, oldest first; never blocks. Not after `close`."""
+        """Writer and bytes of the messages that have come, oldest first; never blocks. Not after `close`."""
         samples = self.entity.take(N=_DEPTH)
         return [(s.sample_info.publication_handle, s.data) for s in samples if s.sample_info.valid_data]
 
@@ -125,7 +125,7 @@ class Reader:
         return handles_of(self.entity)
 
     def arrival(self) -> Any:
-        """Condition, for a `WaitSet`, that something can be taken. Not after `close`."""
+        """Condition, for a `WaitSet`, that a message can be taken. Not after `close`."""
         return ReadCondition(self.entity, ViewState.Any | InstanceState.Any | SampleState.Any)
 
     def refused(self) -> int:
@@ -133,7 +133,7 @@ class Reader:
         return int(self.entity.get_requested_incompatible_qos_status().total_count)
 
     def close(self) -> None:
-        """Let go of the participant. Idempotent; never raises."""
+        """Drop the reader. Idempotent; never raises."""
         self.entity = None
 
 
@@ -154,7 +154,7 @@ class Participant:
     def __init__(self, network: Network) -> None:
         self.network, self.lost = network, 0
         self._writers: dict[str, tuple[Any, Any]] = {}
-        self._heard: list[Reader] = []
+        self._readers: list[Reader] = []
         self._node: NodeEntry | None = None
         if network.interface and network.interface not in (
             known := [name for _, name in socket.if_nameindex()]
@@ -176,7 +176,7 @@ class Participant:
             ) from None
 
     def add_writer(self, name: str, kind: str, shown: str = "") -> None:
-        """Offer a topic, unless it is offered.
+        """Create the writer of a topic, unless there is one.
 
         Args:
             name: of the ROS 2 topic, with a slash.
@@ -191,7 +191,7 @@ class Participant:
         self._announce_node()
 
     def write(self, name: str, data: bytes) -> None:
-        """Send a message, as CDR; what is not taken is counted, and logged once. Never raises."""
+        """Send a message as CDR; a failure is counted, and logged once. Never raises."""
         made, writer = self._writers[name]
         try:
             writer.write(made(data))
@@ -201,26 +201,26 @@ class Participant:
             self.lost += 1
 
     def add_reader(self, name: str, kind: str, *, reliable: bool = False) -> Reader:
-        """Listen to a topic.
+        """Create a reader of a topic.
 
         Args:
             name: of the ROS 2 topic, with a slash.
             kind: of its messages.
             reliable: as of `Reader`.
         """
-        self._heard.append(Reader(self._participant, name, kind, reliable=reliable))
+        self._readers.append(Reader(self._participant, name, kind, reliable=reliable))
         self._announce_node()
-        return self._heard[-1]
+        return self._readers[-1]
 
     def wait_set(self, readers: Sequence[Reader]) -> Any:
-        """What can be waited on until one of the readers has something; to be let go of before `close`."""
+        """Wait set that triggers when a reader has a message; delete it before `close`."""
         made = WaitSet(self._participant)
         for reader in readers:
             made.attach(reader.arrival())
         return made
 
     def publishers(self, readers: Mapping[str, Reader]) -> Iterator[Publisher]:
-        """The writers that readers hear now.
+        """The writers that match the readers now.
 
         Args:
             readers: by the type of their messages.
@@ -246,19 +246,19 @@ class Participant:
         """Publish which writers and readers the bench's node has, where it is shown as one."""
         if self._node is not None:
             self._node.announce(
-                [writer for _, writer in self._writers.values()], [reader.entity for reader in self._heard]
+                [writer for _, writer in self._writers.values()], [reader.entity for reader in self._readers]
             )
 
     def close(self) -> None:
-        """Say goodbye: what was written is sent first, for at most a second. Idempotent; never raises."""
+        """Leave the domain after sending what was written, for at most a second. Idempotent; never raises."""
         self._writers.clear()
-        for reader in self._heard:
+        for reader in self._readers:
             reader.close()
         self._node = self._participant = self._domain = None
 
 
 def _quality(name: str) -> Qos:
-    """As ROS 2's default; reliable, which readers of either kind take."""
+    """Quality of service of a writer: ROS 2's default; reliable, which matches readers of either kind."""
     latched = name in LATCHED
     return Qos(
         Policy.Reliability.Reliable(_LONGEST_BLOCK),

@@ -44,16 +44,16 @@ class Ros2Publisher:
     Args:
         network: where it can be found.
         commanded_by: topic from which a program drives the benches; empty for none.
-        patient: whether in real time its first command is waited for as long as it takes.
+        patient: whether to wait, in real time, for its first command without a timeout.
 
     Attributes:
-        participant: what it publishes by.
+        participant: DDS participant of its topics.
         dropped: cycles that were not published, because sending did not keep up or one was malformed.
         commands: the topic of the latest bench; None before the first, and where no program drives.
-        exchange: the same of what goes to and fro.
+        exchange: exchange with the program of the latest bench; None likewise.
 
     Raises:
-        UsageError: the network cannot be joined, or no name of a topic.
+        UsageError: the network cannot be joined, or the topic name is invalid.
     """
 
     def __init__(self, network: Network, commanded_by: str = "", *, patient: bool = False) -> None:
@@ -65,7 +65,7 @@ class Ros2Publisher:
         self._commanded_by, self._patient, self._latest_ns = commanded_by, patient, 0
 
     def sink(self, header: Mapping[str, Any]) -> Sink:
-        """A sink for one bench; topics of it that are not offered yet are from now on.
+        """A sink for one bench; creates writers for those of its topics that have none yet.
 
         Args:
             header: of the bench, as its recordings have it.
@@ -107,7 +107,7 @@ class _Messages:
     """Makes and sends the messages of one bench.
 
     Args:
-        publisher: by which they go out.
+        publisher: sends them.
         header: of the bench.
         wall_ns: ROS time at the bench clock's zero.
         passed: called with the ROS time of every cycle; None in real time, where there is no `/clock`.
@@ -145,7 +145,7 @@ class _Messages:
     def cycle(self, record: CycleRecord) -> None:
         """Send what a recording of this cycle holds; states first, then the time.
 
-        Of a cycle that was shown before it was decided only the events are left.
+        Of a cycle that was already sent before its decision, only the events are sent.
         """
         shown = record.inputs.t_ns == self._shown_ns
         if not shown:
@@ -189,10 +189,10 @@ class _Messages:
         self._participant.write(diagnostics.TOPIC, self._diagnostics.held(t_ns, held))
 
     def attempt(self, send: Callable[[], None]) -> None:
-        """Send something; what cannot be encoded is counted, and logged once."""
+        """Call `send`; a failure to encode is counted, and logged once."""
         try:
             send()
-        except HilError:  # of a signal's handler
+        except HilError:  # raised by a signal handler
             raise
         except Exception as error:  # whatever a malformed record leads to must not reach the loop
             if not self.publisher.dropped:
@@ -201,7 +201,7 @@ class _Messages:
 
 
 class _WithinTheCycle(Sink):
-    """Sends within the cycle."""
+    """Sink that sends within the cycle."""
 
     def __init__(self, messages: _Messages) -> None:
         self._messages = messages
@@ -216,11 +216,11 @@ class _WithinTheCycle(Sink):
             self._messages.attempt(lambda: self._messages.held(t_ns, data))
 
     def close(self) -> None:
-        """Everything is sent already."""
+        """Do nothing: everything is already sent."""
 
 
 class _Commanding(_WithinTheCycle, CommandingSink):
-    """Sends within the cycle, and gets the command of a program that drives.
+    """Sink that sends within the cycle, and receives the command of the program that drives.
 
     Args:
         messages: of the bench.
@@ -233,7 +233,7 @@ class _Commanding(_WithinTheCycle, CommandingSink):
         self._exchange, self._wait_ns = exchange, wait_ns
 
     def ask(self, seen: CycleRecord) -> ExternalCommands:
-        """What the program commands in this cycle."""
+        """Send the cycle; returns the program's commands for it."""
         if self._wait_ns is None:
             return self._exchange.in_lockstep(seen)
         return self._exchange.in_real_time(seen, seen.inputs.t_ns + self._wait_ns)
@@ -246,7 +246,7 @@ class _Commanding(_WithinTheCycle, CommandingSink):
 
 
 class _InRealTime(Sink):
-    """Hands over; a thread sends. What it does not keep up with is dropped and counted, the newest first."""
+    """Sink with a queue and a thread that sends; if the queue is full, new cycles are dropped and counted."""
 
     def __init__(self, messages: _Messages) -> None:
         self._messages = messages
@@ -257,31 +257,31 @@ class _InRealTime(Sink):
         self._thread.start()
 
     def write(self, record: CycleRecord) -> None:
-        """Take one cycle."""
+        """Queue one cycle."""
         if len(self._waiting) < _WAITING:
             self._waiting.append(lambda: self._messages.cycle(record))
         else:
             self._messages.publisher.dropped += 1
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Take how the robot was left."""
+        """Queue how the robot was left."""
         if kind == HELD_NOTE:
             self._waiting.append(lambda: self._messages.held(t_ns, data))
             self._something.set()
 
     def rest(self) -> None:
-        """Let the thread send."""
+        """Wake the thread that sends."""
         if self._waiting:
             self._something.set()
 
     def close(self) -> None:
-        """Send what waits. Idempotent; never raises."""
+        """Send the rest of the queue. Idempotent; never raises."""
         self._closed = True
         self._something.set()
         self._thread.join(_CLOSE_S)
 
     def _work(self) -> None:
-        """Thread: send what waits."""
+        """Thread: send the queue."""
         while True:
             self._something.wait()
             self._something.clear()

@@ -1,4 +1,4 @@
-"""Describes the publishers of a topic by DDS: their programs, and how long one counts once it was killed."""
+"""Describes the publishers of a topic by DDS: their programs, and how long DDS lists one that was killed."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from cyclonedds.qos import Policy, Qos
 from hil.core.clock import NS_PER_S, seconds
 
 _MOST = 10_000
-"""Participants that are looked through."""
+"""Most participants that are examined."""
 _LONGEST_NS = 10**6 * NS_PER_S
-"""Of a lease: a longer one is no lease."""
+"""Longest lease; a longer one counts as none."""
 _PROCESS, _HOST = ("fastdds.physical_data.process", "__Pid"), ("fastdds.physical_data.host", "__Hostname")
 """Names of these properties in Fast DDS and Cyclone DDS."""
 
@@ -25,10 +25,10 @@ class Publisher:
     """One writer of a topic.
 
     Attributes:
-        handle: by which its messages are known.
+        handle: DDS handle, which its messages carry.
         kind: of its messages.
         program: its process, else its identifier on DDS, in words.
-        lease_s: for how long it counts after it was killed; None where that is not known.
+        lease_s: for how long DDS lists it after it was killed; None if unknown.
     """
 
     handle: int
@@ -41,16 +41,16 @@ class Publisher:
 
 
 def handles_of(entity: Any) -> list[int]:
-    """Of the writers that a reader of Cyclone DDS hears, as their messages carry them."""
+    """Handles of the writers that match a reader of Cyclone DDS, as their messages carry them."""
     return [handle & (1 << 64) - 1 for handle in entity.get_matched_publications()]
 
 
 def publishers_of(participant: Any, entities: Mapping[str, Any]) -> Iterator[Publisher]:
-    """The writers that readers of Cyclone DDS hear now.
+    """The writers that match readers of Cyclone DDS now.
 
     Args:
-        participant: theirs.
-        entities: readers, by what their messages are.
+        participant: of the readers.
+        entities: readers, by the type of their messages.
     """
     seen = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant).read(N=_MOST)
     programs = {one.key: one.qos for one in seen}

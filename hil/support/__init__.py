@@ -1,1 +1,1 @@
-"""What programs need on a computer and robots do not: files, signals, progress, machine code."""
+"""Utilities that do not depend on robots: files, signals, progress, machine code."""

@@ -26,7 +26,7 @@ _HWCAPS = "glibc.cpu.hwcaps="
 
 @cache
 def fingerprint() -> dict[str, str]:
-    """Names and versions of all that computes, texts by these keys.
+    """Names and versions of everything that computes, as texts by these keys.
 
     `machine` (of the processor), `python` (its sums of floats changed with 3.12), `numpy`, `scipy`, `simd`
     (instruction sets that numpy uses), `blas` (library, version and kernel), `libm` (version, and the
@@ -53,7 +53,7 @@ def differences(recorded: dict[str, str], here: dict[str, str]) -> dict[str, tup
 
 
 def _simd() -> str:
-    """Instruction sets that numpy uses: those that it was built for, and what it found of the others."""
+    """Instruction sets that numpy uses: those that it was built for, and further ones found at run time."""
     core = "numpy._core" if int(np.__version__.partition(".")[0]) >= 2 else "numpy.core"
     found = import_module(f"{core}._multiarray_umath")
     dispatched = [name for name in found.__cpu_dispatch__ if found.__cpu_features__.get(name)]
@@ -81,7 +81,7 @@ def _libm() -> str:
 
 
 def _processor_flags() -> set[str]:
-    """What the kernel says that the processor can do."""
+    """Features of the processor as reported by the kernel."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:

@@ -14,7 +14,7 @@ from typing import BinaryIO
 from hil.core.errors import ConfigError, DataError, HilError, UsageError, reason_of
 
 PARTIAL = ".hil-"
-"""How the names of files and folders begin that are not whole yet; one may be left where `hil` is killed."""
+"""Prefix of incomplete files and folders; one may be left if `hil` is killed."""
 _REMEDY = "choose a folder that exists and has room"
 _NOT_YOURS = "choose a folder that you may write"
 
@@ -27,7 +27,7 @@ def check_name(path: Path, whose: str = "") -> None:
         whose: what names it, for the error: an option, or the key of a bench file.
 
     Raises:
-        UsageError: it is longer than file systems take, or lies where one may not even look.
+        UsageError: the name is too long for file systems, or its folder may not be searched.
     """
     try:
         path.lstat()
@@ -60,13 +60,13 @@ def write_text(path: Path, text: str) -> Path:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write into that takes the place of `path`, with its rights, once it is whole.
+    """Yield a file that replaces `path` atomically, with the same permissions, at the end of the block.
 
-    Where the body fails, or the disk does not take it, the old file is still there, or none. A device or what
-    a link leads to is written in place.
+    If the block or the write fails, the old file remains, or none. A device, or the target of a link, is
+    written in place.
 
     Raises:
-        OSError: it cannot be written; `PermissionError` where the old file may not be.
+        OSError: it cannot be written; `PermissionError` if the old file is write-protected.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
         with path.open("wb") as file:
@@ -88,12 +88,12 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def put_whole(path: Path, content: bytes) -> None:
-    """Have a file appear at once, in a folder that need not exist: a reader sees the old one or the new one.
+    """Write a file atomically, in a folder that need not exist: a reader sees the old or the new content.
 
-    It is written beside, flushed to the disk, renamed, and the folder flushed.
+    A file beside it is written, flushed to the disk and renamed; then the folder is flushed.
 
     Raises:
-        OSError: it cannot be written; the old one is still there, and nothing beside it.
+        OSError: it cannot be written; the old file remains, and nothing beside it.
     """
     partial = path.with_name(path.name + ".part")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -166,7 +166,7 @@ def check_new_file(path: Path, option: str) -> None:
 
 
 def check_ending(path: Path, *endings: str) -> None:
-    """Make sure that the name of a file to write says what will be in it; no recording is written over so.
+    """Make sure that an output file has a fitting extension, so that no recording is overwritten by mistake.
 
     A device, as /dev/stdout, may have any name.
 
@@ -218,7 +218,7 @@ def staged(folder: Path) -> Iterator[Path]:
 
 
 def where_else(error: OSError) -> str:
-    """What to do about a file or folder that was refused."""
+    """Remedy for a file or folder that cannot be written."""
     return _NOT_YOURS if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS) else _REMEDY
 
 

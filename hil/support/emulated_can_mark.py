@@ -1,11 +1,11 @@
 """Marks a CAN bus as emulated while the emulating process lives, by a name in the kernel.
 
-Who keeps a fan running must outlive everything but the fan itself. A real fan outlives every program, an
-emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked. Any
-user of the machine can take a name there, so a mark counts for the buses that are emulated, multicast groups,
-and never for an adapter: nothing ends the daemon of a real fan by it.
+The daemon of a fan must not end before the fan. A real fan keeps running when every program has ended; an
+emulated one ends with its emulator. The mark is a name in Linux' abstract socket namespace; on other systems
+no bus is marked. Any user of the machine can take a name there, so a mark counts only for multicast groups,
+the buses that are emulated, and never for an adapter: it cannot end the daemon of a real fan.
 
-Where the emulated bus has no bit rate on its way, as multicast has none, a second name says which it has.
+Multicast has no bit rate, so a second name holds that of the emulated bus.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from pathlib import Path
 from typing import Any
 
 MULTICAST_PORT = 43113
-"""Where python-can's `udp_multicast` is when no port is named."""
+"""Default port of python-can's `udp_multicast`."""
 _EMULATED = "udp_multicast"
 _AT = ", bit/s: "
 _SOCKETS = Path("/proc/net/unix")
 
 
 def bus_name(interface: str, channel: str, options: Mapping[str, Any]) -> str:
-    """A bus as messages and sockets call it: `socketcan:can0`."""
+    """Name of a bus in messages and of its socket: `socketcan:can0`."""
     port = options.get("port", MULTICAST_PORT if interface == _EMULATED else None)
     return f"{interface}:{channel}" + (f":{port}" if port is not None else "")
 
 
 def stays_on_host(interface: str, channel: str, options: Mapping[str, Any]) -> bool:
-    """Whether a multicast bus is of this host only: nothing goes over a hop, or it is emulated here."""
+    """Whether a bus is multicast within this host only: its hop limit is 0, or it is emulated here."""
     if interface != _EMULATED:
         return False
     return options.get("hop_limit") == 0 or is_emulated(bus_name(interface, channel, options))
@@ -57,7 +57,7 @@ class Mark:
 
 
 def is_emulated(name: str) -> bool:
-    """Whether a living process emulates the bus of this name; never one of an adapter."""
+    """Whether a running process emulates the bus of this name; False for every bus of an adapter."""
     if not name.startswith(f"{_EMULATED}:"):
         return False
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
@@ -69,11 +69,11 @@ def is_emulated(name: str) -> bool:
 
 
 class Emulation:
-    """Whether a bus was emulated, and no longer is. Daemons of devices there end then.
+    """Detects that the emulation of a bus has ended; daemons of devices on it end then.
 
     Args:
         name: as `bus_name` gives it.
-        known: whether an earlier look has found that it is emulated.
+        known: whether an earlier check has found it emulated.
 
     Attributes:
         known: whether it was emulated when this was made, or is known to have been.
@@ -84,19 +84,19 @@ class Emulation:
         self.known = known or is_emulated(name)
 
     def is_over(self) -> bool:
-        """Whether its emulator has ended; never for a bus that was not emulated."""
+        """Whether the emulator of the bus has ended; False for a bus that was not emulated."""
         return self.known and not is_emulated(self._name)
 
 
 def bitrate_of(name: str) -> int | None:
-    """Bit rate of an emulated bus, bit/s; None where no living process emulates one of this name."""
+    """Bit rate of an emulated bus, bit/s; None if no running process emulates one of this name."""
     for bitrate in abstract_names(f"{_address(name)[1:]}{_AT}"):
         return int(bitrate)
     return None
 
 
 def abstract_names(beginning: str) -> list[str]:
-    """What follows `beginning` in the names of this machine's sockets in the abstract space, each once."""
+    """The parts after `beginning` of the abstract socket names of this machine, each once."""
     try:
         lines = _SOCKETS.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

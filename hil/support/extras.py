@@ -1,7 +1,7 @@
 """The extras of the package: their modules, and the line that installs one in this Python.
 
-The line names the packages behind an extra, read from the installed metadata. It works however this
-package itself came here: from a folder, a wheel or git.
+The line names the packages of an extra, read from the installed metadata. It works however this package
+itself was installed: from a folder, a wheel or git.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _WHAT = {
 
 
 def packages() -> tuple[str, ...]:
-    """Names of the packages that this one asks for in this Python, those of its extras for use included.
+    """Names of the packages that this one requires in this Python, including its extras for users.
 
     Empty where the metadata of this package is not installed.
     """
@@ -59,10 +59,10 @@ def is_installed(extra: str) -> bool:
 
 
 def lacks(extra: str) -> str:
-    """What keeps an extra from being used in this Python; empty where it can be.
+    """Why an extra cannot be used in this Python; empty if it can.
 
-    That its module can be imported is not enough: one of another version may no longer do what it is for.
-    One that was built by hand, where there is no wheel, belongs to no installed package and is believed.
+    That its module can be imported is not enough: another version may be incompatible. A module that was
+    built by hand, because there is no wheel, belongs to no installed package and is accepted.
     """
     if not is_installed(extra):
         return "not installed"
@@ -78,7 +78,7 @@ def lacks(extra: str) -> str:
 
 
 def how_to_install(extra: str) -> str:
-    """The shell line that adds an extra to this Python, or what the extra needs where it cannot."""
+    """The shell line that adds an extra to this Python, or what the extra needs if that is impossible."""
     wanted = _behind(extra)
     if not wanted:
         return f"install the extra {extra} of {DISTRIBUTION}"
@@ -111,13 +111,13 @@ def _requirements() -> list[Requirement]:
 
 
 def _needed(wanted: Iterable[Requirement]) -> str:
-    """What requirements ask of Python and computer, in words, and what there is."""
+    """Python and computer that requirements need, and those present, in words."""
     message = "; ".join(f"{r.name} is made for {_conditions(str(r.marker))}" for r in wanted)
     return f"{message}; this is Python {platform.python_version()} on {platform.machine()}"
 
 
 def _conditions(marker: str) -> str:
-    """The conditions of a marker as people say them; what is not known here stays as it is."""
+    """The conditions of a marker in plain words; unknown ones stay unchanged."""
     said = []
     for part in re.split(r"\s+and\s+", marker.replace("(", "").replace(")", "")):
         found = _CONDITION.fullmatch(part.strip())

@@ -62,7 +62,7 @@ def must_be_file(path: Path) -> None:
     """Refuse a pipe, a socket or a device before it is opened: it may let a reader wait for ever.
 
     Raises:
-        OSError: it is none, or is not there; a folder fails where it is opened.
+        OSError: it is no regular file, or does not exist; a folder fails only when it is opened.
     """
     if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):
         raise OSError(errno.EINVAL, "a pipe, socket or device, not a file")
@@ -161,7 +161,7 @@ def dotted(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def get_dotted(tree: Mapping[str, Any], key: str) -> object:
-    """The value of a dotted key in a tree of tables, of an empty one the tree; None where there is none."""
+    """The value of a dotted key in a tree of tables, None without one; an empty key gives the whole tree."""
     found: Any = tree
     for name in filter(None, key.split(".")):
         found = found.get(name) if isinstance(found, Mapping) else None
@@ -172,7 +172,7 @@ def put_dotted(tree: dict[str, Any], key: str, value: object, whose: str) -> Non
     """Put a value into a tree of tables by its dotted key; tables that are missing are made.
 
     Raises:
-        ConfigError: there is a value where a table is needed; it begins with `whose`.
+        ConfigError: there is a value where a table is needed; its message begins with `whose`.
     """
     *tables, last = key.split(".")
     for name in tables:

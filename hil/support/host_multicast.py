@@ -1,8 +1,8 @@
 """Restricts python-can's `udp_multicast` to the programs of one host: frames of other hosts are dropped.
 
-python-can's own bus takes every datagram that reaches its port, from whomever, sent to the group or not. This
-one speaks the same and is understood by it. It is bound to the group, lets nothing leave the host, and drops
-what no program of this host has sent. By IPv4 it is on the loopback interface, which needs no network.
+python-can's own bus accepts every datagram that reaches its port, from any sender, sent to the group or not.
+This bus uses the same format, so both can communicate. It is bound to the group, sends nothing beyond the
+host, and drops datagrams of other hosts. With IPv4 it is on the loopback interface, which needs no network.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _SO_TIMESTAMPNS = 35
 _STAMP = struct.Struct("@ll")
 _STAMP_BYTES = socket.CMSG_SPACE(_STAMP.size)
 _MOST_STRANGERS = 64
-"""Datagrams of other hosts that one look at the socket throws away at most."""
+"""Most datagrams of other hosts that one call to receive drops."""
 _LOOPBACK = "127.0.0.1"
 
 
 def is_of_this_host(sender: tuple[Any, ...]) -> bool:
-    """Whether a sender, as `recvfrom` gives it, is of this host: one reaches its addresses from them."""
+    """Whether a sender, as `recvfrom` gives it, is this host: then a route to it starts there."""
     address = sender[0]
     if _is_loopback(address):
         return True
@@ -44,7 +44,7 @@ def is_of_this_host(sender: tuple[Any, ...]) -> bool:
 
 @lru_cache(maxsize=64)
 def _is_loopback(address: str) -> bool:
-    """Whether an address never leaves the host; asked for every frame, and frames come from few."""
+    """Whether an address is loopback; cached, because it is called for every frame, and senders are few."""
     return ip_address(address).is_loopback
 
 
@@ -71,7 +71,7 @@ class HostMulticastBus(can.BusABC):
         super().__init__(channel, **kwargs)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """The next frame of this host, stamped by the kernel (s since 1970); None for none in time."""
+        """The next frame of this host, stamped by the kernel (s since 1970); None after the timeout."""
         for _ in range(_MOST_STRANGERS):
             try:
                 if timeout != 0.0 and not select.select([self._socket], [], [], timeout)[0]:
@@ -117,7 +117,7 @@ def _family(address: str) -> socket.AddressFamily:
 
 
 def _joined(group: str, port: int) -> socket.socket:
-    """A socket that hears a group at a port; by IPv6 on the interface that the group has its route by."""
+    """A socket that receives a group at a port; for IPv6 on the interface of the route to the group."""
     opened = socket.socket(_family(group), socket.SOCK_DGRAM)
     try:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -96,7 +96,7 @@ def _of_package(name: str, given: str) -> ModuleType:
 
 
 def _needs_one(make: Callable[..., Any]) -> bool:
-    """Whether a call needs an argument by its place."""
+    """Whether a call needs a positional argument."""
     by_place = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     taken = inspect.signature(make).parameters.values()
     return any(one.kind in by_place and one.default is one.empty for one in taken)

@@ -1,9 +1,9 @@
 """Compiles numerical functions by numba: `njit`, its cache, and messages while it compiles.
 
-`kernel` marks what Python calls, `inner` what kernels call and Python runs as it is.
-numba keeps the code of a kernel until the kernel's own file changes, although it contains the code of all
-that it calls from other files. So it is kept in another folder for every state of the sources;
-`NUMBA_CACHE_DIR`, where it is set, is used as it is. `NUMBA_DISABLE_JIT=1` runs everything as plain Python.
+`kernel` marks functions that Python calls, `inner` those that kernels call and that Python runs uncompiled.
+numba caches the code of a kernel until the kernel's own file changes, although it contains the code of all
+functions that it calls from other files. So every state of the sources has its own cache folder;
+`NUMBA_CACHE_DIR`, if it is set, is used unchanged. `NUMBA_DISABLE_JIT=1` runs everything as plain Python.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ T = TypeVar("T", bound=tuple[Any, ...])
 
 _LOG = logging.getLogger(__name__)
 PROGRESS = logging.getLogger(f"{__name__}.progress")
-"""Says that a compilation runs, and for how long."""
+"""Logger of running compilations and their duration."""
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = ("calibration", "config", "controller", "estimator", "fakes", "loop", "robot", "core", "support")
-"""Where kernels are, and all that they import."""
+"""Folders of kernels and of all that they import."""
 _FIRST_WORD_NS, _NEXT_WORD_NS = nanoseconds(2.0), nanoseconds(10.0)
 
 if (
@@ -47,7 +47,7 @@ if (
 
 
 def kernel(function: F) -> F:
-    """Mark a function that Python calls, inner ones too: compiled at its first call, and kept."""
+    """Compile a function at its first call from Python, with the inner ones that it calls, and cache it."""
     made = numba.njit(no_cfunc_wrapper=True)(function)
     if made is not function:
         made._cache = _cache_of(function)  # as `cache=True` does with numba's own
@@ -55,27 +55,27 @@ def kernel(function: F) -> F:
 
 
 def inner(function: F) -> F:
-    """Mark a function that kernels call as machine code; Python runs it as it is."""
+    """Mark a function that kernels call as machine code; Python runs it uncompiled."""
     return cast(F, numba.extending.register_jitable(no_cfunc_wrapper=True)(function))
 
 
 def plain(values: T) -> T:
-    """A named tuple as a plain one: at a call numba recognises that five times quicker, by microseconds."""
+    """A named tuple as a plain tuple, whose type numba finds five times faster, microseconds per call."""
     return cast(T, tuple(values))
 
 
 def compile_for(function: Callable[..., Any], *arguments: Any) -> None:
-    """Have a kernel loaded, or compiled, for the types of these arguments; it does not run."""
+    """Load or compile a kernel for the types of these arguments, without running it."""
     if not numba.config.DISABLE_JIT:
         cast(Any, function).compile(tuple(map(numba.typeof, arguments)))
 
 
 def cache_folder(package: Path, homes: tuple[Path, ...]) -> str:
-    """Folder for the machine code of these sources, in the first home that takes it; others are dropped.
+    """Folder for the machine code of these sources, in the first writable home; deletes all others there.
 
     Args:
         package: folder of the package.
-        homes: folders that hold nothing else, from the best one on.
+        homes: folders that hold nothing else, the best one first.
 
     Returns:
         Empty where none can be written.
@@ -98,28 +98,28 @@ def cache_folder(package: Path, homes: tuple[Path, ...]) -> str:
 
 
 def _homes() -> tuple[Path, Path]:
-    """Beside the sources, or else in the user's cache."""
+    """Folders for machine code: beside the sources, else in the user's cache."""
     at = hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]
     of_user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return _PACKAGE / "__pycache__" / "kernels", of_user / "hil" / at
 
 
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
-    """What cannot be kept or read, as on a full disk, costs time and ends nothing."""
+    """Cache whose read and write errors, as on a full disk, cost time but end nothing."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Code for these types, if it is there and whole."""
+        """Load the code for these types, if it is there and complete."""
         try:
             return super().load_overload(sig, target_context)
-        except HilError:  # of a signal
+        except HilError:  # raised by a signal handler
             raise
-        except Exception:  # a file that was broken off may raise anything
+        except Exception:  # a truncated file may raise anything
             with contextlib.suppress(OSError):
                 self.flush()
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep code for these types, if that can be done."""
+        """Save the code for these types; warn if that fails."""
         try:
             super().save_overload(sig, data)
         except OSError as error:
@@ -127,10 +127,10 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
 
 
 class _NoCache(caching.NullCache):  # type: ignore[misc]
-    """For a function whose code no folder takes."""
+    """Cache for a function whose code no folder can hold."""
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Say that it is lost."""
+        """Warn that the code is not kept."""
         _watch.tell_not_kept("beside the sources, nor in the user's cache")
 
 
@@ -142,9 +142,9 @@ def _cache_of(function: Callable[..., Any]) -> Any:
 
 
 class _Watch(event.Listener):  # type: ignore[misc]
-    """Looks on while numba compiles: says so where it takes long, and lets Ctrl-C end it at the next step.
+    """Listens to numba's compiler: reports a long compilation, and lets Ctrl-C end it at the next step.
 
-    Raised inside of LLVM, which calls Python, an exception would be lost.
+    An exception that a signal handler raised inside LLVM, which calls Python, would be lost.
     """
 
     def __init__(self) -> None:
@@ -155,13 +155,13 @@ class _Watch(event.Listener):  # type: ignore[misc]
         self._raised: BaseException | None = None
 
     def on_start(self, event: Any) -> None:
-        """A function, or a step of its compilation, begins."""
+        """Note that a compilation begins; at each step of it, act on Ctrl-C."""
         if event.kind == "numba:run_pass":
             try:
                 self._heed()
             except BaseException as error:
                 self._raised = error
-                raise KeyboardInterrupt from None  # which numba lets through, as it does no other
+                raise KeyboardInterrupt from None  # the only exception that numba passes on
             return
         self._depth += 1
         self._functions += 1
@@ -189,7 +189,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
             self._heed()
 
     def tell_not_kept(self, where: str) -> None:
-        """Warn, once in a process."""
+        """Warn, once per process, that machine code is not kept."""
         if not self._not_kept:
             self._not_kept = True
             _LOG.warning(

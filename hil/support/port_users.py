@@ -86,7 +86,7 @@ def _lines(table: Path) -> list[str]:
 
 
 def _with_open(files: set[str], proc: Path) -> list[Program]:
-    """Other programs that have one of these open; programs are not listed where there is none."""
+    """Other programs that have one of these files open; without files no program is examined."""
     if not files:
         return []
     return sorted(p for p in running(proc) if p.pid != os.getpid() and _has_open(proc / str(p.pid), files))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from hil.core.clock import NS_PER_S, Clock
 
 Report = Callable[[str, int, int], None]
-"""Progress: (what, done, total). What is `WHOLE` for the whole work, where its size is known."""
+"""Progress: (what, done, total). `what` is `WHOLE` for the whole work, if its size is known."""
 
 WHOLE = "in all"
 _FREE_S = 1.0
@@ -57,7 +57,7 @@ class Pace:
 
 
 def in_words(left_s: float | None) -> str:
-    """`about 40 s left`, as coarse as an estimate is; empty where there is none."""
+    """`about 40 s left`, rounded as coarsely as the estimate; empty without one."""
     if left_s is None:
         return ""
     if left_s < 5.0:

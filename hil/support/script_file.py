@@ -1,6 +1,6 @@
 """Runs a Python file of the user's as a module; its exceptions name that file.
 
-As when Python runs it, its folder is the first in which modules are looked for, from then on.
+As when Python runs it, its folder becomes the first entry of the module search path.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hil.core.errors import ConfigError, HilError, error_text
 
 
 def run_file(path: Path) -> ModuleType:
-    """The module that the text of a file makes now; it stands in `sys.modules` as `hil_script_` and its stem.
+    """Run the present text of a file as a module; `sys.modules` has it as `hil_script_` and its stem.
 
     Raises:
         ConfigError: names the file, and the line of a syntax error, or what it raised.
@@ -35,7 +35,7 @@ def run_file(path: Path) -> ModuleType:
 
 
 class _AsItStands(SourceFileLoader):
-    """Runs the text that is in the file now: bytecode of the last second may be of another one."""
+    """Runs the present text of a file: cached bytecode of the last second may be of an older text."""
 
     def get_code(self, fullname: str) -> CodeType:
         return self.source_to_code(self.get_data(self.path), self.path)
@@ -53,6 +53,6 @@ def _load(name: str, path: Path) -> ModuleType:
 
 
 def look_for_modules_in(folder: str) -> None:
-    """Make a folder the first in which modules are looked for."""
+    """Put a folder first in the module search path."""
     sys.path[:] = [folder, *(place for place in sys.path if place != folder)]
     importlib.invalidate_caches()  # a module may have been written since the folder was looked into

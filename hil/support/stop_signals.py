@@ -1,7 +1,7 @@
 """Hands SIGINT, SIGTERM and SIGHUP (a closed terminal) to one function for the duration of a block.
 
-A robot on a wall is held by the program that commands it: a signal may ask for the end of that, and must not
-cut it short, the second no more than the first.
+A robot on a wall is held by the program that commands it: a signal may request the end of that program, but
+must not interrupt it, neither the first signal nor a second one.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[Non
 
 
 class StopRequest:
-    """Signals that are noted and nothing more; the work in progress reacts at a suitable point.
+    """Records signals and does nothing else; the work in progress reacts at a suitable point.
 
     Attributes:
         name: of the first one; empty before.
@@ -53,7 +53,7 @@ class StopRequest:
 
 
 def deaf_from_now_on() -> None:
-    """Ignore these signals: the work is done and reported, and only the interpreter has yet to end."""
+    """Ignore these signals: the work is done and reported, and only the interpreter still has to end."""
     if threading.current_thread() is threading.main_thread():
         for number in STOPS:
             signal.signal(number, signal.SIG_IGN)

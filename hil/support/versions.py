@@ -50,7 +50,7 @@ def versions() -> dict[str, str]:
 
 
 def make() -> dict[str, str]:
-    """What decides the bits of a result: versions of Python, of this package and of those below it."""
+    """Versions that determine the bits of a result: Python, this package and those that it depends on."""
     found = {name: version for name, version in versions().items() if name != "platform"}
     return found | {"python": ".".join(platform.python_version_tuple()[:2])}
 

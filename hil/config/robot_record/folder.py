@@ -4,8 +4,8 @@
     history/    every version, by its number, never changed
     files/      what versions name, by name and hash: a calibration, offsets of a chip
 
-New content is written beside, flushed to the disk and renamed, the version in place last. Whenever a
-process is struck down, the version in place is the old one or the new one, whole.
+New content is written beside, flushed to the disk and renamed, the version in place last. Whenever a process
+is killed, the version in place is the old one or the new one, complete.
 """
 
 from __future__ import annotations
@@ -122,12 +122,12 @@ class RobotRecord:
         return (self.folder / FILES / str(part.values[key])).resolve()
 
     def history(self) -> History:
-        """Every version, and what lies beside them that is none."""
+        """Every version, and files beside them that are no usable version."""
         current = self.path.read_bytes() if self.exists() else None
         kept, damaged = [], []
         for path in sorted((self.folder / HISTORY).glob("*")):
             if _VERSION.fullmatch(path.name) is None:
-                damaged.append((path, "half-written by a process that was struck down"))
+                damaged.append((path, "half-written by a process that was killed"))
                 continue
             try:
                 kept.append(KeptVersion(path, read_version(path, ""), path.read_bytes() == current))
@@ -153,11 +153,11 @@ class RobotRecord:
     ) -> tuple[str, ...]:
         """Put a new version in place: the parts, beside those there are.
 
-        What an older part was measured on top of may change with it: such a part is left out.
+        An older part that was measured on top of a part which changes now is left out.
 
         Args:
             parts: by name.
-            robot: whose they are.
+            robot: that the parts are of.
             created: date and time, ISO 8601.
             why: what made them.
 
@@ -263,11 +263,11 @@ def check_robot_is(
     """Refuse what is of another robot; raises `ConfigError` with everything that differs.
 
     Args:
-        there: whose it is.
-        here: the robot that is to have it.
+        there: robot that the file is of.
+        here: robot that is to use it.
         message: of the error.
         remedy: of the error.
-        place: where it says whose it is.
+        place: of the identity `there`, for the message.
     """
     problems = tuple(there.differences(here, place))
     if problems:
@@ -293,7 +293,7 @@ def read_version(path: Path, remedy: str) -> RecordFile:
 
 
 def _holds(digest: object, tree: dict[str, Any]) -> bool:
-    """Whether a digest is that of a tree; never of one with dates or NaN, which no record has."""
+    """Whether a digest matches a tree; False for a tree with dates or NaN, which no record has."""
     try:
         return digest == digest_of(tree)
     except (TypeError, ValueError):
@@ -302,7 +302,7 @@ def _holds(digest: object, tree: dict[str, Any]) -> bool:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keep other processes out that add to the same record; one that is struck down lets go by itself."""
+    """Keep other processes from adding to the same record; a killed process frees the lock."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder, os.O_RDONLY)

@@ -18,7 +18,7 @@ _LIMITS: Mapping[str, tuple[float, float, str, str]] = {
 
 
 def not_plain(value: object) -> Iterator[str]:
-    """What of a value is no number, text, list or table, or is not finite; in words."""
+    """Elements of a value that are no number, text, list or table, or are not finite, in words."""
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, (list, tuple)):
@@ -31,7 +31,7 @@ def not_plain(value: object) -> Iterator[str]:
 
 
 def implausible(values: Mapping[str, Any]) -> Iterator[str]:
-    """What no procedure would have let pass among plain values by their keys: `key: what is wrong`."""
+    """Plain values, by key, that no procedure would have passed: `key: what is wrong`."""
     for key, (low, high, unit, procedure) in _LIMITS.items():
         value: Any = values.get(key)
         numbers = [v for v in (value if isinstance(value, (list, tuple)) else [value]) if _is_number(v)]

@@ -1,7 +1,7 @@
 """Checks before a result enters a robot's record: which robot it is of, and how its run ended.
 
 A part says both in tables of its own. A piece of a bench file says it in comments, so that it can still be
-copied into one. The `result.json` beside either has the last word on how the run ended.
+copied into one. A `result.json` beside either overrides how the run ended.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Origin:
     """Where a file comes from.
 
     Attributes:
-        robot: whose it is; None where it does not say so.
-        verdict: how the run ended that left it; `not verified` where it is unknown.
-        procedure: which run; `taken from a file` where it is unknown.
+        robot: that it is of; None if the file does not name one.
+        verdict: of the run that wrote it; `not verified` if unknown.
+        procedure: of that run; `taken from a file` if unknown.
     """
 
     robot: Identity | None
@@ -41,7 +41,7 @@ class Origin:
     procedure: str
 
     def must_have_passed(self, path: Path) -> None:
-        """Refuse what a run has left that did not pass; raises `ConfigError` that names the file."""
+        """Refuse the result of a run that did not pass; raises `ConfigError` that names the file."""
         if self.verdict not in (*PASSED, NOT_VERIFIED):
             raise ConfigError(
                 f"{path}: left by a run that ended in {self.verdict}; nothing of it was applied",
@@ -50,15 +50,15 @@ class Origin:
             )
 
     def must_be_of(self, robot: Identity, path: Path, *, of_this_robot: bool) -> None:
-        """Refuse what another robot has left.
+        """Refuse the result of another robot.
 
         Args:
-            robot: that is to have it.
+            robot: that is to use it.
             path: of the file.
-            of_this_robot: the user vouches for a file that does not say whose it is.
+            of_this_robot: the user confirms that a file without an identity is of this robot.
 
         Raises:
-            ConfigError: it is of another robot, or of an unknown one for which the user does not vouch.
+            ConfigError: it is of another robot, or of an unknown one without that confirmation.
         """
         if self.robot is not None:
             check_robot_is(
@@ -77,7 +77,7 @@ class Origin:
 
 
 def comment(robot: Identity) -> str:
-    """Line of a piece of a bench file that says whose it is."""
+    """Comment line for a piece of a bench file that names its robot."""
     return f"# robot = {json.dumps(robot.model_dump(mode='json', exclude_none=True))}\n"
 
 

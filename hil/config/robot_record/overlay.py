@@ -27,7 +27,7 @@ def laid_over(tree: dict[str, Any], overrides: Mapping[str, object], today: date
     Args:
         tree: of the bench file, changed in place.
         overrides: dotted key -> value, which go on top later.
-        today: what validity is judged on.
+        today: date for the validity of parts.
 
     Returns:
         The record; None where none is named or it is still empty.
@@ -98,7 +98,7 @@ def _is_wall(tree: Mapping[str, Any], overrides: Mapping[str, object]) -> bool:
 
 
 def _put(tree: dict[str, Any], dotted: str, value: object) -> None:
-    """A value into the tree; of a device that the bench lacks, nothing. True mounts stay where they were."""
+    """Put a value into the tree, unless the bench lacks its device. Mounts of emulated devices stay true."""
     *tables, key = dotted.split(".")
     if tables and tables[0] in kinds():
         kind = tables[0]

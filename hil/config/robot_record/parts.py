@@ -1,4 +1,4 @@
-"""One version of a robot's record as a model: its owner, its parts, and their consistency.
+"""One version of a robot's record as a model: its robot, its parts, and their consistency.
 
 A part is what one procedure found: values for keys of the bench file, and figures for people and other
 procedures. `made_with` remembers what it was measured on top of, so that parts which do not belong together
@@ -34,7 +34,7 @@ class PartKind:
         keys: of the bench file, dotted; one that ends in a dot stands for all below it.
         measured_by: procedure that finds it.
         on: parts that it is measured on top of.
-        yields: whether what the bench file says counts above it; else the part counts above the bench file.
+        yields: whether the bench file overrides the part; else the part overrides the bench file.
     """
 
     title: str
@@ -195,11 +195,11 @@ class Part(_Model):
         return value
 
     def digest(self) -> str:
-        """Digest of what other parts may rest on: the values, and the files by their content."""
+        """Digest of what other parts may depend on: the values, and the files by their content."""
         return digest_of({"values": {**self.values, **self.files}})
 
     def over(self, today: date) -> bool:
-        """Whether it may no longer be used."""
+        """Whether the validity of the part has ended."""
         return bool(self.until) and today > date.fromisoformat(self.until)
 
 
@@ -219,7 +219,7 @@ class Identity(_Model):
     wheel_radius_m: Four
 
     def differences(self, other: Identity, place: str = "in the record") -> Iterator[str]:
-        """What another robot has otherwise: `key: value PLACE, value here`; unknown counts as alike."""
+        """Differences from another robot: `key: value PLACE, value here`; unknown values count as equal."""
         for key in Identity.model_fields:
             mine, theirs = getattr(self, key), getattr(other, key)
             if mine is None or theirs is None or mine == theirs:
@@ -253,7 +253,7 @@ class RecordFile(_Model):
     Attributes:
         version, created: number, and date and time.
         why: what made it.
-        robot: whose it is.
+        robot: that the record is of.
         parts: by name, see `PARTS`.
         previous: digest of the version before it, empty for the first.
         sha256: of everything else here.
@@ -288,7 +288,7 @@ class RecordFile(_Model):
         return self.model_copy(update={"sha256": digest_of(self.tree())})
 
     def contradictions(self) -> Iterator[str]:
-        """Parts that were measured on top of something else than what stands beside them."""
+        """Parts that were measured with other versions of the parts that they depend on."""
         for name, part in self.parts.items():
             for below, digest in part.made_with.items():
                 there = self.parts.get(below)
@@ -297,7 +297,7 @@ class RecordFile(_Model):
                     yield f"{name}: measured {part.measured} with other {below} {what}"
 
     def without_stale(self) -> tuple[RecordFile, tuple[str, ...]]:
-        """Without parts that contradict the others, and the names of these; the others count as right."""
+        """The record without parts that were measured on top of other versions, and their names."""
         parts, gone = dict(self.parts), list[str]()
         while True:
             file = self.model_copy(update={"parts": parts})

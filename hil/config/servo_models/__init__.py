@@ -1,7 +1,7 @@
 """Servo models as data: control table, units, limits and motor of each, by the model number on the bus.
 
-Shared by the driver and by the emulated servo, which otherwise know nothing of each other. One TOML file per
-family; another model of a family is an entry there, and nothing is read before a model is asked for.
+Shared by the driver and by the emulated servo, which have nothing else in common. One TOML file per family;
+another model of a family is an entry there, and no file is read before a model is needed.
 """
 
 from hil.config.servo_models.loading import (

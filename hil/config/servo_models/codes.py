@@ -1,4 +1,4 @@
-"""What the servos of the X series number alike, whatever their table: modes, baud rates, hardware errors."""
+"""Codes that all servos of the X series have in common: modes, baud rates, hardware errors."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def servo_model(number: int) -> ServoModel:
 
 @cache
 def shared_register(name: str) -> Register:
-    """A register that every model has at one place: what can be asked of a servo before its model is known.
+    """A register that all models have at the same address: it can be read before the model is known.
 
     Raises:
         LookupError: the models differ.

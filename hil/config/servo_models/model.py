@@ -93,16 +93,16 @@ class ServoModel:
 
     @property
     def top_speed_rad_s(self) -> float:
-        """Faster than it turns by itself: no load at the highest voltage of the specification, rounded up."""
+        """Upper bound of its speed: without load at the highest voltage of the specification, rounded up."""
         return math.ceil(10.0 * max(row.no_load_rad_s for row in self.performance)) / 10.0
 
     @property
     def pack_v(self) -> tuple[float, float]:
-        """Supply that a bench may be given: within its voltage limits, and two thirds of the recommended."""
+        """Permitted supply, V: within its voltage limits, and at least two thirds of the recommended."""
         low, high = self.table["min_voltage_limit"], self.table["max_voltage_limit"]
         return max(low.default * low.scale, _LEAST_SHARE * self.recommended_v), high.default * high.scale
 
     @property
     def low_supply_v(self) -> float:
-        """Supply below which a person should look: the permitted, and for one voltage only 10 % less."""
+        """Supply, V, below which a person should check: the lowest permitted, or 90 % of the recommended."""
         return min(self.supply_v[0], _LOW_SHARE * self.recommended_v)
