@@ -20,7 +20,7 @@ from hil.core.signals import Status as SampleStatus
 from hil.core.signals import worst
 from hil.fan_daemon import client
 from hil.fan_daemon.client import Status, of_whom
-from hil.fan_daemon.server import bus_of, running_daemons
+from hil.fan_daemon.server import is_on, running_daemons, socket_name
 from hil.fan_daemon.spec import Spec
 from hil.support.port_users import Program, ending, named, running
 
@@ -84,8 +84,9 @@ def daemon_status(spec: Spec) -> Status | None:
 
 def other_daemons(specs: Collection[Spec]) -> list[str]:
     """Names of other fans and propellers with a daemon on the same buses as `specs`."""
-    named, buses = {spec.name for spec in specs}, {spec.bus for spec in specs}
-    return [name for name in running_daemons() if name not in named and bus_of(name) in buses]
+    own = {socket_name(spec) for spec in specs}
+    others = [name for name in running_daemons() if name not in own]
+    return [name for name in others if any(is_on(name, spec.bus) for spec in specs)]
 
 
 def switch_on(

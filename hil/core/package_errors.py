@@ -25,7 +25,7 @@ class PackageError(DeviceError):
             f"{kind} ({package})",
             message,
             expected=expected,
-            remedy=f"mend {package.split()[0]}, or install a version of it without this",
+            remedy=f"fix {package.split()[0]}, or install a version of it without this",
         )
 
 
@@ -42,7 +42,7 @@ def of_a_script(what: str) -> Iterator[None]:
         raise
     except BaseException as error:
         raise ConfigError(
-            f"{what}: {error_text(error)} ({place_of(error)})", remedy="mend the script there"
+            f"{what}: {error_text(error)} ({place_of(error)})", remedy="fix the script there"
         ) from error
 
 

@@ -22,7 +22,7 @@ clocks and their adjustment are off by less than 0.1 %."""
 _AT_THE_ENDS = 2
 """Samples beyond that share that a short watch may have, one at each end."""
 _NO_MORE = f"at most {MORE_WARNING:.0%} more than the rate allows"
-_WHY_MORE = "set the device to the rate of the bench file, or mend a driver that delivers samples twice"
+_WHY_MORE = "set the device to the rate of the bench file, or fix a driver that delivers samples twice"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ a daemon answers with its status, or with `{"error": {message, expected, remedy,
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import selectors
@@ -32,7 +33,8 @@ IDLE_S = 30.0
 _MOST_CLIENTS = 32
 _MOST_AT_ONCE = 16
 _PEER = struct.Struct("3i")
-_LONGEST_NAME = 100
+_LONGEST_BUS, _BUS_KEPT = 70, 50
+"""Bytes of a bus in a socket name, of which Linux has 107; of a longer bus so many, and a hash."""
 _PREFIX = "hil-adhesion "
 _MOST_TEXT = 1000
 
@@ -55,7 +57,12 @@ Left = Callable[[int], None]
 
 def address(spec: Spec) -> str:
     """Address of the socket of a fan's daemon."""
-    return f"\0{_PREFIX}{spec.name}"[:_LONGEST_NAME]
+    return f"\0{_PREFIX}{socket_name(spec)}"
+
+
+def socket_name(spec: Spec) -> str:
+    """The name of a fan in `running_daemons`; no two fans have the same."""
+    return f"{_shortened(spec.bus)}, controller {spec.controller_id}"
 
 
 def running_daemons() -> list[str]:
@@ -63,9 +70,16 @@ def running_daemons() -> list[str]:
     return abstract_names(_PREFIX)
 
 
-def bus_of(name: str) -> str:
-    """The bus that a name of `running_daemons` begins with."""
-    return name.rpartition(", controller ")[0]
+def is_on(name: str, bus: str) -> bool:
+    """Whether the fan or propeller with this name of `running_daemons` is on a bus."""
+    return name.rpartition(", controller ")[0] == _shortened(bus)
+
+
+def _shortened(bus: str) -> str:
+    data = bus.encode()
+    if len(data) <= _LONGEST_BUS:
+        return bus
+    return f"{data[:_BUS_KEPT].decode(errors='ignore')}...{hashlib.sha256(data).hexdigest()[:12]}"
 
 
 def peer(connection: socket.socket) -> Peer:

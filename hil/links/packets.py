@@ -48,7 +48,7 @@ class LineParser:
     """Splits a byte stream into lines, without their ends.
 
     Args:
-        longest: most bytes kept of an unfinished line; the oldest are dropped.
+        longest: bytes of a line; a longer one is dropped.
     """
 
     def __init__(self, longest: int = 4096) -> None:
@@ -57,5 +57,6 @@ class LineParser:
     def feed(self, data: bytes) -> list[bytes]:
         """Lines that these bytes complete."""
         *lines, rest = (self._rest + data).split(b"\n")
-        self._rest = rest[-self._longest :]
-        return [line.rstrip(b"\r") for line in lines]
+        self._rest = rest[: self._longest + 2]
+        stripped = (line.removesuffix(b"\r") for line in lines)
+        return [line for line in stripped if len(line) <= self._longest]

@@ -52,9 +52,9 @@ class Supervisor:
         self._holders = own.holders if limits.on_wall else {}
         self._widest_rad = limits.steering_limit_rad + 1e-9
         self.left_out = Exclusion(own.estimated, on_wall=limits.on_wall)
-        servos = ServoCheck(stale_s.pop("servos", None), limits.servo_ids)
         samples = SensorStatus(stale_s, own.gap_s, own.brought)
         self._pace, self.observers = LoopPause(), ObserverCheck()
+        servos = ServoCheck(stale_s.pop("servos", None), self._pace, limits.servo_ids)
         self._agreement = (
             None
             if own.motion is None

@@ -160,7 +160,7 @@ class _Running:
         if "servos" not in self._config.devices():
             stage.end(Verdict.PASS, "the bench has no servos: nothing can turn")
         elif any(s.verdict == Verdict.FAIL.value for s in self.stages.values()):
-            stage.end(Verdict.ABORTED, "not done: mend first what failed above, then accept again")
+            stage.end(Verdict.ABORTED, "not done: fix first what failed above, then accept again")
         else:
             self._may_turn()
             self._turn(stage)

@@ -91,7 +91,7 @@ class McapRecorder(Sink):
         """Error that stops the loop once a cycle is lost; None before, and if the loop may go on."""
         if self.on_failure == "go-on" or not self.shortfall:
             return None
-        remedy = "make room or record elsewhere" if not self._malformed else "mend what the error names"
+        remedy = "make room or record elsewhere" if not self._malformed else "fix what the error names"
         return RecordingError(
             str(self.path),
             f"recording failed ({self.shortfall}); the robot was stopped, what came before can be read",

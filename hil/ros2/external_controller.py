@@ -174,7 +174,7 @@ class Ros2Controller(ExternalController):
         found = dict(named)
         for name, value in found.items():
             if not math.isfinite(value):
-                self._stop(COMMAND, f"has sent the {what} {value} for {name}", "mend the controller")
+                self._stop(COMMAND, f"has sent the {what} {value} for {name}", "fix the controller")
         return found
 
     def _must_be_within(
@@ -206,7 +206,7 @@ def body_velocity(command: ExternalCommand, topic: str, surface: str) -> Array:
     """
     ahead, left, up, roll, pitch, turn = command.velocity_rad_s.tolist()
     if not np.isfinite(command.velocity_rad_s).all():
-        _stop(topic, COMMAND, "sent a number that is not finite", "mend the controller")
+        _stop(topic, COMMAND, "sent a number that is not finite", "fix the controller")
     if up or roll or pitch:
         _stop(
             topic,

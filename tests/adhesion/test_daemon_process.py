@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 
 import pytest
 from kills import commanded, end_daemon
@@ -37,6 +37,23 @@ def daemon(shared):
     fan, spec = shared
     with client.find_or_start(spec) as connection:
         yield fan, spec, connection
+
+
+def test_fans_on_buses_with_long_names_have_a_daemon_each():
+    adapter = "/dev/serial/by-id/usb-Protofusion_Labs_CANable_1205aa6_cantact-fw_001C003A5434510C20313732-if0"
+    specs = [Spec("slcan", f"{adapter}{end}", number) for end in (0, 1) for number in (7, 8)]
+    with ExitStack() as stack:
+        for spec in specs:
+            stack.callback(Server(spec).close)
+        running = set(server.running_daemons())
+        names = [server.socket_name(spec) for spec in specs]
+        assert len(set(names)) == len(specs)
+        assert running.issuperset(names)
+        for spec in specs:
+            assert [server.is_on(name, spec.bus) for name in names] == [s.bus == spec.bus for s in specs]
+            client.connect(spec).close()
+            with pytest.raises(server.TakenError):
+                Server(spec)
 
 
 def is_unkept(spec):

@@ -168,13 +168,12 @@ def test_alignment_wants_four_wheels():
 
 def test_a_servo_that_stays_silent_stops_the_robot_but_one_gap_does_not():
     supervisor = Supervised(SafetyLimits())
-    silent = servo_sample(np.full(8, np.nan), (Status.TIMEOUT,) * 8)
-    supervisor.check(Inputs(0, 0, servos=(servo_sample(np.zeros(8)),)))
-    supervisor.check(Inputs(1, 90_000_000, servos=(silent,)))
-    supervisor.check(Inputs(2, 100_000_000, servos=(servo_sample(np.zeros(8)),)))
-    supervisor.check(Inputs(3, 200_000_000, servos=(silent,)))
+    answers, silent = servo_sample(np.zeros(8)), servo_sample(np.full(8, np.nan), (Status.TIMEOUT,) * 8)
+    reads = [answers, *[silent] * 9, answers, *[silent] * 10]
+    for k, sample in enumerate(reads):
+        supervisor.check(Inputs(k, 10_000_000 * k, servos=(sample,)))
     with pytest.raises(SafetyStop, match="stale_servos"):
-        supervisor.check(Inputs(4, 201_000_001, servos=(silent,)))
+        supervisor.check(Inputs(21, 200_000_001, servos=(silent,)))
 
 
 def test_who_is_driven_does_not_wait_for_a_sensor_that_is_to_come_back():

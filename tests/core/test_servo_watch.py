@@ -61,6 +61,22 @@ def test_a_silence_is_named_by_servo_id_status_and_remedy(wrong, words):
         assert f"(ID {IDS[joint]})" not in str(stop)
 
 
+@pytest.mark.parametrize("paused", [9, 40])
+def test_a_pause_of_the_loop_is_no_silence_of_the_servos(paused):
+    """The first reads after it may fail, too; then the limit of 0.1 s counts, and a second pause with it."""
+    before, after = [cycle(k) for k in range(5)], 4 + paused
+    silent = [cycle(k, wrong=ALL_SILENT) for k in range(after, after + 30)]
+    watch = supervisor()
+    for inputs in (*before, *silent[:9]):
+        watch.check(inputs)
+    stop, _ = stopped(watch, silent[9:])
+    assert "no complete servo read for 0.110 s" in str(stop)
+    for inputs in (*before, *silent[:5]):
+        watch.check(inputs)
+    with pytest.raises(SafetyStop, match="stale_servos"):
+        watch.check(silent[17])
+
+
 def test_who_is_silent_once_with_its_chain_is_not_blamed():
     first = [cycle(k, wrong={j: Status.TIMEOUT for j in range(3, 8)}) for k in (1, 2)]
     then = [cycle(k, wrong={3: Status.TIMEOUT}) for k in range(3, 20)]

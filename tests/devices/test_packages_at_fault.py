@@ -54,7 +54,7 @@ def test_the_doctor_names_the_package_and_goes_on(case, package, hil):
     (failure,) = [line for line in done.out.splitlines() if line.startswith("FAIL thing")]
     assert "thing (hil-evil 6.6): " in failure
     assert reported in failure
-    assert "mend hil-evil" in done.out
+    assert "fix hil-evil" in done.out
     assert "ok   imu" in done.out
 
 
@@ -151,7 +151,7 @@ def test_a_run_reports_once_of_a_hole_that_the_status_does_not(package, hil, tmp
     done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
     assert done.code == 0, done.out + done.said
     notes = json.loads((tmp_path / "out" / "result.json").read_text())["notes"]
-    assert notes == ["warning thing: NaN or infinity in pair with status ok: mend the driver of its package"]
+    assert notes == ["warning thing: NaN or infinity in pair with status ok: fix the driver of its package"]
 
 
 @pytest.mark.usefixtures("bench")
@@ -222,7 +222,7 @@ def test_an_emulated_device_that_fails_later_is_named_when_it_is_read(case, pack
     done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
     assert done.code == 3, done.out + done.said
     assert f"thing (hil-evil 6.6): {reported}" in done.out + done.said
-    assert "mend hil-evil" in done.out + done.said
+    assert "fix hil-evil" in done.out + done.said
     done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
     assert done.code == 3, done.said
     (failure,) = [line for line in done.out.splitlines() if line.startswith("FAIL")]

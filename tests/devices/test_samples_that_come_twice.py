@@ -39,7 +39,7 @@ def test_the_same_sample_again_is_a_promise_broken(kind):
     bench = opened()
     twice(bench, kind, same)
     subject = Subject(bench, kind)
-    with pytest.raises(Broken, match=r"came twice; expected each once; mend the driver"):
+    with pytest.raises(Broken, match=r"came twice; expected each once; fix the driver"):
         delivered_once(subject)
     with pytest.raises(Broken, match=r"samples in 1 s; expected about|times of measurement go back"):
         samples_in_time(subject)

@@ -37,7 +37,7 @@ LONGEST_READ_NS = nanoseconds(0.06)
 NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)
 """Statuses of samples without any data."""
 _READS, _STEP_NS = 20, nanoseconds(0.01)
-_DRIVER = "mend the driver of this device"
+_DRIVER = "fix the driver of this device"
 _LINK = "check cable, supply and baud rate; `hil doctor` says more"
 
 

@@ -39,7 +39,7 @@ def find_contract_breaks(watched: Watched, waits_s: Sequence[float]) -> Iterator
             "failure",
             f"NaN or infinity in {', '.join(sorted(holes))} with Status.OK",
             "a status that says why a number is missing",
-            "mend read() of the package's driver",
+            "fix read() of the package's driver",
         )
     for field in changing(samples):
         yield Finding(
@@ -48,7 +48,7 @@ def find_contract_breaks(watched: Watched, waits_s: Sequence[float]) -> Iterator
             "failure",
             f"{field} changes its shape or its type from sample to sample",
             "one shape and type for as long as the device is open",
-            "mend read() of the package's driver",
+            "fix read() of the package's driver",
         )
     for found, expected in _wrong_stamps(watched):
         yield Finding(

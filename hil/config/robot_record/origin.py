@@ -46,7 +46,7 @@ class Origin:
             raise ConfigError(
                 f"{path}: left by a run that ended in {self.verdict}; nothing of it was applied",
                 expected="a run that passed",
-                remedy=f"look at the run's page, mend what failed, and run {self.procedure} again",
+                remedy=f"look at the run's page, fix what failed, and run {self.procedure} again",
             )
 
     def must_be_of(self, robot: Identity, path: Path, *, of_this_robot: bool) -> None:

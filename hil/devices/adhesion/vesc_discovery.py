@@ -20,11 +20,11 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
     """
     from hil.drivers.adhesion.vesc_identity import ask_who
     from hil.drivers.adhesion.vesc_settings import Answers
-    from hil.fan_daemon.server import bus_of, running_daemons
+    from hil.fan_daemon.server import is_on, running_daemons
     from hil.links.can_bus import CanLink
 
     for bus in buses:
-        busy = bus.bus in map(bus_of, running_daemons())
+        busy = any(is_on(name, bus.bus) for name in running_daemons())
         search.say(f"{'listening' if busy else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
         query = VescConfig(
             interface=bus.interface,

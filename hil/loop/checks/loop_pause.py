@@ -34,6 +34,10 @@ class LoopPause(Check):
         self._last_ns: int | None = None
         self._cycle_ns = self._ended_ns = self._lasted_ns = 0
 
+    def ended_at(self, t_ns: int) -> int:
+        """Length (ns) of the pause that ended with the cycle at `t_ns`; 0 without one."""
+        return self._lasted_ns if t_ns == self._ended_ns else 0
+
     def on_samples(self, cycle: Cycle) -> None:
         """Check the time of the cycle."""
         self.judge(cycle.inputs.t_ns, cycle.stop)

@@ -103,7 +103,7 @@ class SensorStatus(Check):
             for field in unsaid_holes(kinds()[name], sample, self._brought[name]):
                 if (name, field) not in self._holes:
                     self._holes.add((name, field))
-                    said = f"NaN or infinity in {field} with status ok: mend the driver of its package"
+                    said = f"NaN or infinity in {field} with status ok: fix the driver of its package"
                     events.append(Event(t_ns, "warning", name, said))
 
     def silence(self, name: str, t_ns: int) -> str:

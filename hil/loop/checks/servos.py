@@ -13,6 +13,7 @@ from hil.core.geometry import wrap
 from hil.core.interfaces import ReportStop
 from hil.core.signals import SERVOS, WHEELS, EncoderSample, Event, Inputs, ServoSample, Status
 from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
+from hil.loop.checks.loop_pause import LoopPause
 from hil.loop.cycle_data import Check, Cycle
 
 _BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
@@ -35,13 +36,15 @@ class ServoCheck(Check):
 
     Args:
         stale_s: longest time without a complete read, s; None without servos.
+        pause: check of the loop's pauses, which runs earlier in each cycle.
         ids: bus IDs in the order of `SERVOS`; empty when unknown.
 
     Attributes:
         asked_rad_s: (4,) last commanded wheel rates.
     """
 
-    def __init__(self, stale_s: float | None, ids: tuple[int, ...] = ()) -> None:
+    def __init__(self, stale_s: float | None, pause: LoopPause, ids: tuple[int, ...] = ()) -> None:
+        self._pause = pause
         self._stale_ns = None if stale_s is None else nanoseconds(stale_s)
         self._names = tuple(f"{s} (ID {i})" for s, i in zip(SERVOS, ids, strict=True)) if ids else SERVOS
         self.reset()
@@ -52,6 +55,7 @@ class ServoCheck(Check):
         self._asked_since_ns: list[int | None] = [None] * 4
         self._asked_at_rad = [0.0] * 4
         self._complete_ns: int | None = None
+        self._excused = False
         self._missed: dict[int, tuple[int, Status]] = {}
         self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
         self._outside = [math.nan] * 4
@@ -82,14 +86,19 @@ class ServoCheck(Check):
             stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
 
     def check_silence(self, inputs: Inputs, stop: ReportStop) -> None:
-        """Stop with `stale_servos` if the last complete read is too old."""
+        """Stop with `stale_servos` if the last complete read is too old.
+
+        The first pause of the loop since that read does not count: the servos were not read in it.
+        """
         if self._stale_ns is None:
             return
         if self._complete_ns is None:
             self._complete_ns = inputs.t_ns
+        if paused_ns := 0 if self._excused else self._pause.ended_at(inputs.t_ns):
+            self._complete_ns, self._excused = self._complete_ns + paused_ns, True
         for sample in inputs.servos:
             if sample.status == _ALL_OK:
-                self._complete_ns, self._missed = inputs.t_ns, {}
+                self._complete_ns, self._missed, self._excused = inputs.t_ns, {}, False
                 continue
             for j, status in enumerate(sample.status):
                 if status is not Status.OK:

@@ -19,31 +19,22 @@ _OLD_NS = nanoseconds(0.1)
 _ROUNDING = -1e-9
 """Rounding error (m^2 etc.): a variance of zero may be computed slightly negative."""
 _OF = ("x", "y", "heading", "speed along x", "speed along y", "turn rate")
-_REMEDY = "mend the estimator, or follow another (feedback: odometry, ekf or ukf)"
-
-
-def must_be_usable(state: RobotState, now_ns: int | None) -> None:
-    """Refuse an estimate that cannot be checked.
-
-    Args:
-        state: the estimate.
-        now_ns: time of the cycle; None to skip the check of the estimate's time.
-
-    Raises:
-        SafetyStop: `not_finite`, `negative_variance` or `stale_estimate`.
-    """
-    if found := _unusable(state, now_ns):
-        reason, reported, remedy = found
-        raise SafetyStop(reason, f"{reported}; {remedy}" if remedy else reported)
+_REMEDY = "fix the estimator, or follow another (feedback: odometry, ekf or ukf)"
 
 
 class UsableCheck(Check):
     """Checks that the estimate in the loop is usable."""
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Check that the estimate is finite, with valid variances, and of this cycle."""
+        """Check that the estimate is finite, with valid variances, and of this cycle.
+
+        Raises:
+            SafetyStop: `not_finite`, `negative_variance` or `stale_estimate`.
+        """
         assert cycle.state is not None
-        must_be_usable(cycle.state, cycle.inputs.t_ns)
+        if found := _unusable(cycle.state, cycle.inputs.t_ns):
+            reason, message, remedy = found
+            raise SafetyStop(reason, f"{message}; {remedy}" if remedy else message)
 
 
 class ObserverCheck(Check):
@@ -76,7 +67,7 @@ class ObserverCheck(Check):
         return (Event(now_ns, "warning", name, f"observer {name}: {found[1]}; warned of once"),)
 
 
-def _unusable(state: RobotState, now_ns: int | None) -> tuple[str, str, str] | None:
+def _unusable(state: RobotState, now_ns: int) -> tuple[str, str, str] | None:
     """Reason, message and remedy; None for an estimate that can be used."""
     values = state.pose_body_in_wall.tolist() + state.twist_body.tolist()
     if not math.isfinite(sum(values)):
@@ -92,7 +83,7 @@ def _unusable(state: RobotState, now_ns: int | None) -> tuple[str, str, str] | N
         whose = _named(variances, _ROUNDING.__le__)
         message = f"the estimate's variance of {whose} is negative, expected 0 or more"
         return "negative_variance", message, _REMEDY
-    if now_ns is not None and abs(now_ns - state.t_ns) > _OLD_NS:
+    if abs(now_ns - state.t_ns) > _OLD_NS:
         off_s = (state.t_ns - now_ns) / NS_PER_S
         when = f"{abs(off_s):.3f} s {'ahead of' if off_s > 0.0 else 'behind'}"
         message = (

@@ -1,6 +1,6 @@
 """What a procedure that has passed rests on: keys of the bench file, and its parts in the robot's record.
 
-A commissioning that is resumed repeats what rests on something that is other than it was: people mend the
+A commissioning that is resumed repeats what rests on something that is other than it was: people fix the
 bench file between a failure and the next attempt, and take versions of the record back.
 """
 

@@ -21,7 +21,7 @@ def stopped_at(result: Result, folder: Path) -> dict[str, Any]:
         folder: of the commissioning.
     """
     page = page_of(result)
-    first = f"look at {page} and mend what it names; then "
+    first = f"look at {page} and fix what it names; then "
     if page is None:
         first = "make room on the disk; then "
     elif result.verdict is Verdict.ABORTED:
