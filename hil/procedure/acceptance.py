@@ -1,8 +1,8 @@
 """Acceptance: whether a bench is as its file says and fulfils the device contract.
 
-Doctor, the contract of every device, how old their samples are; then, if a person says that the robot is on
-a stand, the contract of the servos with turning wheels and how late they turn. The same stages for emulated
-devices and real ones. What was found is kept whatever ends it.
+Stages: doctor, the contract of every device, the age of the samples. Then, if a person confirms that the
+robot is on a stand, the contract of the servos with turning wheels, and their delays. Emulated and real
+devices go through the same stages. The findings are kept even when the acceptance ends early.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Stage:
     findings: list[Finding] = field(default_factory=list)
 
     def end(self, verdict: Verdict | None = None, why: str = "", left_out: str = "") -> None:
-        """Judge it by its findings, unless a verdict is given; with something left out it has not passed."""
+        """Set the verdict: the given one, else FAIL (a check failed), ABORTED (one was left out) or PASS."""
         failed = sum(f.level == "failure" for f in self.findings)
         why = why or (f"{failed} of {len(self.findings)} checks failed" if failed else "")
         self.why = "; ".join(filter(None, (why, left_out)))
@@ -66,7 +66,7 @@ class Stage:
         self.verdict = (verdict or (Verdict.FAIL if failed else whole)).value
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data."""
+        """Return the stage as a JSON object."""
         findings = [f.to_json() for f in self.findings]
         return {
             "name": self.name,
@@ -85,7 +85,7 @@ class Acceptance:
         source: the bench.
         now: date and time, ISO 8601.
         on_stand: the operator has said that the wheels are free; otherwise the operator is asked.
-        operator: who answers.
+        operator: answers questions.
         report: progress.
         interrupts: signals.
         watch_s: how long the doctor reads each device.
@@ -101,16 +101,16 @@ class Acceptance:
 
 
 def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
-    """Run all stages; wheels turn only if all before was right, and a person has said that they may.
+    """Run all stages. The wheels turn only if no earlier stage failed and a person has allowed it.
 
     Args:
-        asked: what and how.
+        asked: the bench and the options.
 
     Returns:
         JSON values (`verdict`, `bench`, `stages`, `devices`, `files`, ...), and the exit code.
 
     Raises:
-        ConfigError, UsageError: bench file or fault are wrong; no device was opened.
+        ConfigError, UsageError: the bench file or a fault is wrong; no device was opened.
     """
     config = asked.source.config
     asked.source.check_faults()
@@ -142,7 +142,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
 
 
 class _Running:
-    """The stages of one acceptance, one after the other."""
+    """Runs the stages of one acceptance, one after the other."""
 
     def __init__(self, asked: Acceptance) -> None:
         self._asked, self._config = asked, asked.source.config
@@ -152,7 +152,7 @@ class _Running:
         self._identities: dict[str, dict[str, str]] = {}
 
     def all(self) -> None:
-        """Every stage; raises `Aborted` where a person or a signal ends it."""
+        """Run every stage; raise `Aborted` if a person or a signal ends the acceptance."""
         self._look()
         self._contracts()
         stage = self.current = self.stages[MOTION]
@@ -166,12 +166,12 @@ class _Running:
             self._turn(stage)
 
     def verdict(self) -> Verdict:
-        """Of the whole."""
+        """Return the verdict of the acceptance: FAIL, else ABORTED, if a stage has it; else PASS."""
         verdicts = {stage.verdict for stage in self.stages.values()}
         return next((v for v in (Verdict.FAIL, Verdict.ABORTED) if v.value in verdicts), Verdict.PASS)
 
     def exit_code(self) -> int:
-        """As `hil` ends: 3 where the doctor found a device that is wrong, as `hil doctor` does."""
+        """Return the exit code of `hil`: like `hil doctor`, 3 if the doctor found a faulty device."""
         if self.verdict() is Verdict.PASS:
             return EXIT_PASS
         if self.verdict() is Verdict.ABORTED:
@@ -180,7 +180,7 @@ class _Running:
         return EXIT_DEVICE if sick else EXIT_LIMIT_FAILED
 
     def devices(self) -> dict[str, dict[str, Any]]:
-        """Each device: whether it is real, and who it said it is."""
+        """Return the backend (real or emulated), the model and the reported identity of each device."""
         real = self._asked.source.real
         return {
             name: {
@@ -204,7 +204,7 @@ class _Running:
         )
 
     def _look(self) -> None:
-        """What `hil doctor` says."""
+        """Run the checks of `hil doctor`."""
         stage, total = self.stages[DOCTOR], len(self._config.devices())
         self._asked.report(DOCTOR, 0, total)
         with self._asked.interrupts.heeded():
@@ -219,7 +219,7 @@ class _Running:
         stage.end()
 
     def _contracts(self) -> None:
-        """The contract of every device that could be opened, and the age of its samples."""
+        """Check the contract of every device that could be opened, and the age of its samples."""
         self.current, late = self.stages[CONTRACT], self.stages[LATENCY]
         if not self._asked.source.virtual:
             late.findings.append(punctuality(self._config))
@@ -247,15 +247,15 @@ class _Running:
             stage.end(left_out=left)
 
     def _one(self, stage: Stage, device: str, promise: str, check: Callable[[], str]) -> None:
-        """One check; a signal before it, or within, ends the acceptance."""
+        """Run one check; a signal before or during the check ends the acceptance."""
         self._asked.interrupts.finish_here()
         with self._asked.interrupts.heeded():
             finding = judged(device, promise, check)
-            self._asked.interrupts.stop_here()  # a check that was cut short says nothing of the device
+            self._asked.interrupts.stop_here()  # an interrupted check says nothing about the device
         stage.findings.append(finding)
 
     def _may_turn(self) -> None:
-        """Raise `Aborted` unless the servos are emulated, or a person says that the wheels are free."""
+        """Raise `Aborted` unless the servos are emulated or a person confirms that the wheels are free."""
         asked = self._asked
         if "servos" not in asked.source.real or asked.on_stand:
             return
@@ -269,7 +269,7 @@ class _Running:
             )
 
     def _turn(self, stage: Stage) -> None:
-        """Contract and delays of the servos; the first that fails is the last that moves."""
+        """Check contract and delays of the servos in motion; stop after the first failed check."""
         source = self._asked.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
         bench = source.open()
         bench.warns_not_held = False
@@ -306,7 +306,7 @@ def _collected(found: list[Finding], findings: Iterator[Finding]) -> str:
 
 
 def _files(source: BenchSource) -> Iterator[dict[str, str]]:
-    """What the bench was made from, each with its SHA-256: what a signature under the report speaks of."""
+    """Yield the files that define the bench, with their SHA-256: a signature on the report covers these."""
     config = source.config
     used = json.dumps(config.model_dump(mode="json", by_alias=True), sort_keys=True).encode()
     if isinstance(source.bench, (str, Path)) and Path(source.bench).is_file():

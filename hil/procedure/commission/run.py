@@ -1,7 +1,7 @@
-"""Runs a commissioning: one procedure after the other, each with what the record knows by then.
+"""Runs a commissioning: one procedure after the other, each with the current record of the robot.
 
-A procedure that passes puts its part into the record; the first that does not ends the commissioning with
-what to do. The same code runs in virtual time, at the wire and on the real robot.
+A procedure that passes adds its part to the record. The first procedure that does not pass ends the
+commissioning with a remedy. The same code runs in virtual time, at wire level and on the real robot.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ RECORD = "robot"
 
 @dataclass(frozen=True)
 class Commission:
-    """What to commission and how.
+    """Bench and options of a commissioning.
 
     Attributes:
-        source: bench of the wall. Where it names no record, one is made in `folder`.
-        folder: of the results.
+        source: the wall bench. If it names no record, a record is created in `folder`.
+        folder: results folder.
         clock: for durations.
         now: date and time, ISO 8601.
-        quick: the short form of every procedure.
-        resume: go on with an interrupted one.
-        operator: who answers prompts.
+        quick: run the short form of every procedure.
+        resume: resume an interrupted commissioning.
+        operator: answers prompts.
         report: progress.
         interrupts: signals.
-        order: what is run.
+        order: the stages to run.
     """
 
     source: BenchSource
@@ -68,7 +68,7 @@ class Commission:
     order: tuple[Stage, ...] = STAGES
 
     def options(self) -> dict[str, Any]:
-        """What a resumed one must have alike."""
+        """Return the options that a resumed commissioning must share."""
         source = self.source
         return {
             "bench": str(source.bench),
@@ -82,10 +82,10 @@ class Commission:
 
 
 def commission(asked: Commission) -> tuple[dict[str, Any], int]:
-    """Run all procedures, up to the first that does not pass.
+    """Run all procedures up to the first that does not pass.
 
     Args:
-        asked: what and how.
+        asked: bench and options.
 
     Returns:
         JSON values (`verdict`, `robot`, `procedures`, `wall`, `page`, `stopped`), and the exit code.
@@ -113,14 +113,14 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
 
 
 def _check_all(asked: Commission, source: BenchSource, config: BenchConfig) -> None:
-    """Every bench that will be needed can be configured, before anything moves."""
+    """Check, before anything moves, that every needed bench can be configured."""
     for number, (stage, why) in enumerate(stages(config, asked.order), start=1):
         if not why:
             stage.procedure.check_needs(source.changed(overrides=placed(stage, number, config)).config)
 
 
 def summary(state: State, record: Path, stopped: dict[str, Any] | None) -> dict[str, Any]:
-    """The result as `hil commission --json` prints it; keys may be added, never renamed."""
+    """Return the result that `hil commission --json` prints; keys may be added, never renamed."""
     verdicts = {name: entry["verdict"] for name, entry in state.done.items()}
     order = [v.value for v in Verdict]
     judged = [v for v in verdicts.values() if v in order]
@@ -139,7 +139,7 @@ def summary(state: State, record: Path, stopped: dict[str, Any] | None) -> dict[
 
 
 class _Running:
-    """The stages of one commissioning, one after the other."""
+    """Runs the stages of one commissioning, one after the other."""
 
     def __init__(self, asked: Commission, state: State, config: BenchConfig) -> None:
         self._asked, self._state, self._config = asked, state, config
@@ -154,7 +154,7 @@ class _Running:
         self._before = 0.0
 
     def all(self) -> tuple[int, dict[str, Any] | None]:
-        """Exit code, and where and why it stopped (None at the end)."""
+        """Run all stages; return the exit code, and where and why it stopped (None if it reached the end)."""
         self._forget_what_does_not_hold()
         for number, (stage, why) in enumerate(self._stages, start=1):
             try:
@@ -172,13 +172,13 @@ class _Running:
         return 0, None
 
     def _forget_what_does_not_hold(self) -> None:
-        """Before anything moves, say what has to be repeated of what has passed."""
+        """Before anything moves, mark and report the passed procedures that have to be repeated."""
         parts = parts_in(self._record)
         for stage, _ in self._stages:
             self._holds(stage, parts)
 
     def _holds(self, stage: Stage, parts: Mapping[str, Part]) -> bool:
-        """Whether a procedure has passed, and all that it rests on is as it was."""
+        """Whether a procedure has passed and none of its dependencies has changed."""
         if not self._state.passed(stage.name):
             return False
         before = self._state.rests_on.get(stage.name)
@@ -193,7 +193,7 @@ class _Running:
         return not why
 
     def _next(self, stage: Stage, number: int, why: str) -> tuple[int, dict[str, Any]] | None:
-        """Run one procedure unless it has passed; exit code, and where and why it stopped, if it did."""
+        """Run one procedure unless it has passed; if it does not pass, return exit code and reason."""
         if why:
             self._state.keep(stage.name, verdict="SKIPPED", why=why)
         elif not self._holds(stage, parts_in(self._record)):
@@ -227,7 +227,7 @@ class _Running:
         return result
 
     def _moved_to(self, place: Place) -> None:
-        """Have a person move a real robot to where the next procedures need it."""
+        """Ask the operator to move a real robot to the place that the next procedures need."""
         if self._place != place and self._asked.source.real:
             with self._asked.interrupts.heeded():
                 go_ahead(self._asked.operator, PROMPTS[place])
@@ -256,7 +256,7 @@ class _Running:
     def _folder(
         self, stage: Stage, number: int, source: BenchSource, parameters: Mapping[str, Any]
     ) -> tuple[Path, bool]:
-        """Where the stage's results go, and whether an interrupted run of it is there."""
+        """Return the results folder of a stage, and whether it holds an interrupted run of this stage."""
         base = self._asked.folder / f"{number:02d}_{stage.name}"
         tries = [base, *(base.with_name(f"{base.name}-{k}") for k in range(2, 100))]
         for path in tries:
@@ -267,7 +267,7 @@ class _Running:
         raise ConfigError(f"{base}: tried a hundred times", remedy="start anew with another --out")
 
     def _within(self, stage: Stage) -> Report:
-        """Progress of a stage as a part of the whole."""
+        """Return a callback that reports progress of a stage as a share of the whole commissioning."""
 
         def report(what: str, done: int, total: int) -> None:
             if what == WHOLE:
@@ -282,7 +282,7 @@ class _Running:
 
 
 def _unfinished(folder: Path, stage: Stage, source: BenchSource, parameters: Mapping[str, Any]) -> bool:
-    """Whether a run was struck down or aborted in a folder, script and bench as now: else it begins anew."""
+    """Whether a folder holds a killed or aborted run of the same script and bench, which can be resumed."""
     if (folder / RESULT).exists():
         tree = read_json(folder / RESULT)
         if not isinstance(tree, dict) or tree.get("verdict") not in ("ABORTED", "ERROR"):
@@ -296,7 +296,7 @@ def _unfinished(folder: Path, stage: Stage, source: BenchSource, parameters: Map
 
 
 def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
-    """Signs that a failed bring-up found otherwise than configured, as overrides; empty without any."""
+    """Return overrides for the signs that a failed bring-up found to differ from the configuration."""
     path = folder / FRAGMENT
     if not path.exists():
         return {}

@@ -1,4 +1,4 @@
-"""What a fault campaign leaves: its matrix (devices and faults down, moments across), its page and JSON."""
+"""Results of a fault campaign: matrix (devices and faults in rows, moments in columns), page and JSON."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ restart, and errors that look like an honest robot, such as a camera that drifts
 
 
 def matrix_page(summary: Mapping[str, Any]) -> str:
-    """The whole page, of `hil.procedure.faults.summary`."""
+    """Return the page as Markdown, from the result of `hil.procedure.faults.summary`."""
     counts = (
         f"{summary['cells']} cells, {len(summary['failed'])} failed, "
         f"{summary['quiet_cells']} passed without a word about the device."
@@ -96,7 +96,7 @@ def _table(plant: Mapping[str, Any]) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Text that is safe in a table."""
+    """Escape a text for a cell of a Markdown table."""
     return " ".join(text.replace("|", "/").split())[:300]
 
 
@@ -109,11 +109,11 @@ def write_faults(folder: Path, summary: Mapping[str, Any]) -> Path:
     """Write `faults.html` and `faults.json`; returns the path of the page.
 
     Args:
-        folder: of the campaign; must exist.
-        summary: as `hil.procedure.faults.summary` returns it, with `began`, ISO 8601.
+        folder: folder of the campaign; must exist.
+        summary: result of `hil.procedure.faults.summary`, with `began`, ISO 8601.
 
     Raises:
-        DataError: they cannot be written.
+        DataError: a file cannot be written.
     """
     page = environment().get_template("faults.html").render(summary=summary)
     data = json.dumps(summary, indent=2, allow_nan=False) + "\n"
