@@ -50,7 +50,7 @@ QUESTION = "is the robot on a stand, all four wheels free, and no fingers near t
 
 @dataclass
 class Stage:
-    """One part of an acceptance: what was found, and the verdict once it has ended."""
+    """One part of an acceptance: its findings, and its verdict once it has ended."""
 
     name: str
     verdict: str = Verdict.ABORTED.value
@@ -79,7 +79,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """What to accept and how.
+    """Bench and options of an acceptance.
 
     Attributes:
         source: the bench.
@@ -145,7 +145,7 @@ class _Running:
     """Runs the stages of one acceptance, one after the other."""
 
     def __init__(self, asked: Acceptance) -> None:
-        self._asked, self._config = asked, asked.source.config
+        self._request, self._config = asked, asked.source.config
         self.stages = {name: Stage(name) for name in TITLES}
         self.current = self.stages[DOCTOR]
         self.held: dict[str, object] | None = None
@@ -160,7 +160,7 @@ class _Running:
         if "servos" not in self._config.devices():
             stage.end(Verdict.PASS, "the bench has no servos: nothing can turn")
         elif any(s.verdict == Verdict.FAIL.value for s in self.stages.values()):
-            stage.end(Verdict.ABORTED, "not done: mend first what failed above, then accept again")
+            stage.end(Verdict.ABORTED, "not done: first repair what failed above, then accept again")
         else:
             self._may_turn()
             self._turn(stage)
@@ -181,7 +181,7 @@ class _Running:
 
     def devices(self) -> dict[str, dict[str, Any]]:
         """Return the backend (real or emulated), the model and the reported identity of each device."""
-        real = self._asked.source.real
+        real = self._request.source.real
         return {
             name: {
                 "backend": "real" if name in real else "emulated",
@@ -192,7 +192,7 @@ class _Running:
         }
 
     def _opened(self) -> tuple[Bench, list[Finding]]:
-        source = self._asked.source
+        source = self._request.source
         return open_degraded(
             source.bench,
             emulate=source.emulate,
@@ -206,33 +206,33 @@ class _Running:
     def _look(self) -> None:
         """Run the checks of `hil doctor`."""
         stage, total = self.stages[DOCTOR], len(self._config.devices())
-        self._asked.report(DOCTOR, 0, total)
-        with self._asked.interrupts.heeded():
+        self._request.report(DOCTOR, 0, total)
+        with self._request.interrupts.heeded():
             bench, stage.findings = self._opened()
             seen = {f.device for f in stage.findings}
-            for finding in examine(bench, watch_s=self._asked.watch_s):
-                self._asked.interrupts.stop_here()
+            for finding in examine(bench, watch_s=self._request.watch_s):
+                self._request.interrupts.stop_here()
                 stage.findings.append(finding)
                 if finding.device in self._config.devices() and finding.device not in seen:
                     seen.add(finding.device)
-                    self._asked.report(DOCTOR, len(seen), total)
+                    self._request.report(DOCTOR, len(seen), total)
         stage.end()
 
     def _contracts(self) -> None:
         """Check the contract of every device that could be opened, and the age of its samples."""
         self.current, late = self.stages[CONTRACT], self.stages[LATENCY]
-        if not self._asked.source.virtual:
+        if not self._request.source.virtual:
             late.findings.append(punctuality(self._config))
         closed = {
             f.device for f in self.stages[DOCTOR].findings if f.check == "open" and f.level == "failure"
         }
         devices = [name for name in self._config.devices() if name not in closed]
-        anew = self._asked.source.open if self._asked.source.virtual else None
+        anew = self._request.source.open if self._request.source.virtual else None
         bench, _ = self._opened()
         try:
             bench.begin()
             for number, name in enumerate(devices):
-                self._asked.report(CONTRACT, number, len(devices))
+                self._request.report(CONTRACT, number, len(devices))
                 subject = Subject(bench, name, anew)
                 for promise, check in AT_REST.items():
                     self._one(self.current, name, promise, partial(check, subject))
@@ -241,22 +241,22 @@ class _Running:
                     self._identities[name] = dict(subject.watched.identity)
         finally:
             bench.close()
-        self._asked.report(CONTRACT, len(devices), max(len(devices), 1))
-        left = f"not asked, because they do not open: {', '.join(sorted(closed))}" if closed else ""
+        self._request.report(CONTRACT, len(devices), max(len(devices), 1))
+        left = f"not checked, because they do not open: {', '.join(sorted(closed))}" if closed else ""
         for stage in (self.current, late):
             stage.end(left_out=left)
 
     def _one(self, stage: Stage, device: str, promise: str, check: Callable[[], str]) -> None:
         """Run one check; a signal before or during the check ends the acceptance."""
-        self._asked.interrupts.finish_here()
-        with self._asked.interrupts.heeded():
+        self._request.interrupts.finish_here()
+        with self._request.interrupts.heeded():
             finding = judged(device, promise, check)
-            self._asked.interrupts.stop_here()  # an interrupted check says nothing about the device
+            self._request.interrupts.stop_here()  # an interrupted check says nothing about the device
         stage.findings.append(finding)
 
     def _may_turn(self) -> None:
         """Raise `Aborted` unless the servos are emulated or a person confirms that the wheels are free."""
-        asked = self._asked
+        asked = self._request
         if "servos" not in asked.source.real or asked.on_stand:
             return
         with asked.interrupts.heeded():
@@ -270,7 +270,7 @@ class _Running:
 
     def _turn(self, stage: Stage) -> None:
         """Check contract and delays of the servos in motion; stop after the first failed check."""
-        source = self._asked.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
+        source = self._request.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
         bench = source.open()
         bench.warns_not_held = False
         try:
@@ -288,16 +288,16 @@ class _Running:
     def _checks_in_motion(self, stage: Stage, bench: Bench) -> None:
         total = len(IN_MOTION) + 1
         for number, (promise, check) in enumerate(IN_MOTION.items()):
-            self._asked.report(MOTION, number, total)
+            self._request.report(MOTION, number, total)
             self._one(stage, "servos", promise, partial(check, bench))
             if stage.findings[-1].level == "failure":
                 return
-        self._asked.report(MOTION, total - 1, total)
+        self._request.report(MOTION, total - 1, total)
         found: list[Finding] = []
         delays = without_restart(lambda bench: _collected(found, delays_in_motion(bench)))
         self._one(stage, "servos", "delays", partial(delays, bench))
         stage.findings += found
-        self._asked.report(MOTION, total, total)
+        self._request.report(MOTION, total, total)
 
 
 def _collected(found: list[Finding], findings: Iterator[Finding]) -> str:

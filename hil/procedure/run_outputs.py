@@ -118,7 +118,7 @@ class RunOutputs:
 
     def set_again(self) -> list[str]:
         """Return a sentence about each measurement that was set to different values."""
-        said = []
+        notes = []
         for name, before in self.findings.earlier.items():
             measurement, every = self._by_name[name], [*before, self.findings.values[name]]
             reported = [
@@ -128,8 +128,8 @@ class RunOutputs:
             ]
             if len(reported) > _LISTED:
                 reported[_LISTED - 1 : -1] = ["..."]
-            said.append(f"{name} was set {len(every)} times: {', '.join(reported)}. The last one counts.")
-        return said
+            notes.append(f"{name} was set {len(every)} times: {', '.join(reported)}. The last one counts.")
+        return notes
 
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""

@@ -29,8 +29,8 @@ def failure(problem: BaseException, context: Context, where: str = "") -> Failur
     no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
     code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
     frames = as_json(chain_of(problem, shipped=True))
-    said = f"{problem} ({place_of(problem)})"
-    return Failure(type(problem).__name__, said, step, code, finished, tuple(frames))
+    message = f"{problem} ({place_of(problem)})"
+    return Failure(type(problem).__name__, message, step, code, finished, tuple(frames))
 
 
 def _place(context: Context) -> tuple[str, bool]:

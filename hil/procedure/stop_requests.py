@@ -50,7 +50,7 @@ class Interrupts:
         self._timer: threading.Timer | None = None
         self._late = False
         self._installed = 0
-        self._asked = 0
+        self._sigints = 0
         self._stop: str | None = None
         self._deferred = 0
         self._raised = False
@@ -58,7 +58,7 @@ class Interrupts:
     @property
     def asked_to_finish(self) -> bool:
         """Whether the run should end after the current step."""
-        return self._asked > 0 or self._stop is not None
+        return self._sigints > 0 or self._stop is not None
 
     def finish_here(self, where: str = "between two steps", remedy: str = "") -> None:
         """At a boundary between steps: raise `Aborted` if a stop was requested.
@@ -87,8 +87,8 @@ class Interrupts:
         """Handle a signal: request a stop, or raise `Aborted`."""
         name = signal.Signals(number).name
         if number == signal.SIGINT:
-            self._asked += 1
-            if self._asked == 1:
+            self._sigints += 1
+            if self._sigints == 1:
                 self._give_time()
                 return
             name = _LATE if self._late else _TWICE

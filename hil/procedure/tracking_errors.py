@@ -161,16 +161,16 @@ def moved_at_rest(motion: Motion) -> float:
 
 def unseen(errors: Mapping[str, float]) -> str:
     """Return a sentence about errors that lack motion capture data; empty if there are none."""
-    said = []
+    parts = []
     if errors["seen"] < _LEAST_SEEN:
-        said.append(
+        parts.append(
             f"saw {100.0 * errors['seen']:.0f} % of the motion (RMSE needs {100.0 * _LEAST_SEEN:.0f} %)"
         )
     if math.isnan(errors["end_x"]):
-        said.append(f"did not see its last {_END_S:g} s (errors at the end need them)")
-    if not said:
+        parts.append(f"did not see its last {_END_S:g} s (errors at the end need them)")
+    if not parts:
         return ""
-    return f"motion capture {' and '.join(said)}. Look at its cameras, and drive again."
+    return f"motion capture {' and '.join(parts)}. Look at its cameras, and drive again."
 
 
 def series(motion: Motion) -> dict[str, Any]:

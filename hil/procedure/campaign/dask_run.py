@@ -48,7 +48,7 @@ class Strikes:
     def __init__(self) -> None:
         self._former: dict[int, Any] = {}
         self._put_off: list[int] = []
-        self._heard = False
+        self._at_once = False
 
     def __enter__(self) -> Strikes:
         self._former = _handlers()
@@ -60,7 +60,7 @@ class Strikes:
         _put_back(self._former)
 
     def _strike(self, number: int, frame: FrameType | None) -> None:
-        if self._heard or self._put_off:
+        if self._at_once or self._put_off:
             self._former[number](number, frame)
         else:
             self._put_off.append(number)
@@ -68,14 +68,14 @@ class Strikes:
     @contextmanager
     def heard(self) -> Iterator[None]:
         """In this block a signal, including a deferred one, is handled at once."""
-        self._heard = True
+        self._at_once = True
         try:
             if self._put_off:
                 number = self._put_off.pop()
                 self._former[number](number, None)
             yield
         finally:
-            self._heard = False
+            self._at_once = False
 
 
 def take_back(client: Client, futures: Sequence[Future]) -> None:
@@ -219,7 +219,7 @@ def _make_ready(client: Client, scheduler: str, parcel: WorkerFiles | None, stac
 
 def _reason(error: BaseException) -> str:
     if type(error).__name__ == "KilledWorker":
-        return "its worker process died, again and again"
+        return "its worker process died repeatedly"
     return f"{type(error).__name__}: {error}"
 
 

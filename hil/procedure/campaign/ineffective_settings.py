@@ -46,5 +46,5 @@ def in_a_sentence(found: Mapping[str, Any]) -> str:
     """Return a sentence: `gain: 1, 2 gave the same values in every run`, and what that means."""
     return (
         f"{found['key']}: {', '.join(found['values'])} gave the same values in every run, to the last bit; "
-        "perhaps the runs never came to where it makes a difference"
+        "perhaps no run reached a situation in which it matters"
     )

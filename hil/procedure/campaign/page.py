@@ -66,12 +66,12 @@ def _sentence(rows: Sequence[Row]) -> str:
     """Return a summary: how many runs were good, why runs tested nothing, the limits missed most often."""
     tested, good = sum(row.tested for row in rows), sum(row.good for row in rows)
     if tested == len(rows):
-        said = f"{good} of {tested} runs kept their limits."
+        text = f"{good} of {tested} runs kept their limits."
     else:
         faults = count(spec for row in rows for spec in row.faults_not_begun)
         why = not_tested(faults, sum(row.lost for row in rows))
         kept = f"{good} of the other {tested} kept their limits" if tested else "there are no others"
-        said = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({why}); {kept}."
+        text = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({why}); {kept}."
     failed = [
         (n, m) for row in rows if row.tested for n, m in row.measurements.items() if m["outcome"] == "FAIL"
     ]
@@ -81,9 +81,9 @@ def _sentence(rows: Sequence[Row]) -> str:
         ("Never measured", NEVER_SET),
     ):
         if missed := Counter(name for name, m in failed if m["missing"] == why):
-            said += f" {words}: {_most(missed)}."
+            text += f" {words}: {_most(missed)}."
     ended = sum(bool(row.error) and not row.lost for row in rows)
-    return said + (f" {ended} ended early." if ended else "")
+    return text + (f" {ended} ended early." if ended else "")
 
 
 def _most(missed: Counter[str]) -> str:

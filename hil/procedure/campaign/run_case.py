@@ -50,8 +50,8 @@ class _Named(logging.LogRecord):
 
     def getMessage(self) -> str:
         """Return the message, prefixed with the case of the thread that logged it."""
-        said = super().getMessage()
-        return f"{self._case}: {said}" if self._case else said
+        text = super().getMessage()
+        return f"{self._case}: {text}" if self._case else text
 
 
 @contextmanager

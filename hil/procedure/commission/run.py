@@ -142,7 +142,7 @@ class _Running:
     """Runs the stages of one commissioning, one after the other."""
 
     def __init__(self, asked: Commission, state: State, config: BenchConfig) -> None:
-        self._asked, self._state, self._config = asked, state, config
+        self._request, self._state, self._config = asked, state, config
         self._record = Path(str(asked.source.overrides["record.folder"]))
         self._as_its_file_says = as_its_file_says(asked.source)
         self._again: dict[str, str] = {}
@@ -163,7 +163,7 @@ class _Running:
                 if not (self._ran or isinstance(error, (Aborted, DataError))):
                     raise
                 code = EXIT_ABORTED if isinstance(error, DataError) else error.exit_code
-                return code, stopped_before(stage.name, error, self._asked.folder)
+                return code, stopped_before(stage.name, error, self._request.folder)
             if stopped is not None:
                 return stopped
             if not why:
@@ -189,7 +189,7 @@ class _Running:
         if why:
             self._again[stage.name] = why
             self._state.forget(stage.name)
-            self._asked.report(f"{stage.name} again: {why}", 0, 1)
+            self._request.report(f"{stage.name} again: {why}", 0, 1)
         return not why
 
     def _next(self, stage: Stage, number: int, why: str) -> tuple[int, dict[str, Any]] | None:
@@ -199,7 +199,7 @@ class _Running:
         elif not self._holds(stage, parts_in(self._record)):
             result = self._one(stage, number)
             if result.verdict.value not in DONE:
-                return result.exit_code, stopped_at(result, self._asked.folder)
+                return result.exit_code, stopped_at(result, self._request.folder)
         return None
 
     def _one(self, stage: Stage, number: int) -> Result:
@@ -209,7 +209,7 @@ class _Running:
         if stage.name == "bring_up" and result.verdict is Verdict.FAIL:
             signs = found_signs(result.folder, self._config)
             if signs:
-                self._asked.report("bring_up again, with the signs that it found", 0, 1)
+                self._request.report("bring_up again, with the signs that it found", 0, 1)
                 result = self._run(stage, number, signs)
         facts: dict[str, Any] = {"verdict": result.verdict.value, "folder": result.folder.name}
         if "wall" in result.facts["data"]:
@@ -228,13 +228,13 @@ class _Running:
 
     def _moved_to(self, place: Place) -> None:
         """Ask the operator to move a real robot to the place that the next procedures need."""
-        if self._place != place and self._asked.source.real:
-            with self._asked.interrupts.heeded():
-                go_ahead(self._asked.operator, PROMPTS[place])
+        if self._place != place and self._request.source.real:
+            with self._request.interrupts.heeded():
+                go_ahead(self._request.operator, PROMPTS[place])
         self._place = place
 
     def _run(self, stage: Stage, number: int, overrides: dict[str, object]) -> Result:
-        asked = self._asked
+        asked = self._request
         overrides = {**placed(stage, number, self._config), **overrides}
         source = asked.source.changed(overrides=overrides).with_its_faults()
         parameters = stage.parameters(asked.quick)
@@ -257,12 +257,12 @@ class _Running:
         self, stage: Stage, number: int, source: BenchSource, parameters: Mapping[str, Any]
     ) -> tuple[Path, bool]:
         """Return the results folder of a stage, and whether it holds an interrupted run of this stage."""
-        base = self._asked.folder / f"{number:02d}_{stage.name}"
+        base = self._request.folder / f"{number:02d}_{stage.name}"
         tries = [base, *(base.with_name(f"{base.name}-{k}") for k in range(2, 100))]
         for path in tries:
             if not (path / JOURNAL).exists() and not (path / RESULT).exists():
                 return path, False
-            if self._asked.resume and _unfinished(path, stage, source, parameters):
+            if self._request.resume and _unfinished(path, stage, source, parameters):
                 return path, True
         raise ConfigError(f"{base}: tried a hundred times", remedy="start anew with another --out")
 
@@ -273,12 +273,12 @@ class _Running:
             if what == WHOLE:
                 self._tell(stage.weight * done / max(total, 1))
             else:
-                self._asked.report(f"{stage.name.replace('_', ' ')}: {what}", done, total)
+                self._request.report(f"{stage.name.replace('_', ' ')}: {what}", done, total)
 
         return report
 
     def _tell(self, within: float) -> None:
-        self._asked.report(WHOLE, round(self._before + within), round(self._total))
+        self._request.report(WHOLE, round(self._before + within), round(self._total))
 
 
 def _unfinished(folder: Path, stage: Stage, source: BenchSource, parameters: Mapping[str, Any]) -> bool:
@@ -296,12 +296,12 @@ def _unfinished(folder: Path, stage: Stage, source: BenchSource, parameters: Map
 
 
 def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
-    """Return overrides for the signs that a failed bring-up found to differ from the configuration."""
+    """Return the signs found by a failed bring-up as overrides; empty if none differs from the bench file."""
     path = folder / FRAGMENT
     if not path.exists():
         return {}
     encoders = config.of(EncodersConfig)
-    believed = {
+    signs = {
         "alignment.drive_sign": config.alignment.drive_sign,
         "alignment.steer_sign": config.alignment.steer_sign,
         **({} if encoders is None else {"encoders.sign": encoders.sign}),
@@ -311,5 +311,5 @@ def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
     except HilError:
         return {}
     found = dict(dotted(tree))
-    other = {key: found[key] for key in believed if key in found and list(found[key]) != list(believed[key])}
+    other = {key: found[key] for key in signs if key in found and list(found[key]) != list(signs[key])}
     return found if other else {}

@@ -132,12 +132,12 @@ def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:
             for values in zip(*((v.measured.moved_m, v.measured.crept_m) for v in held), strict=True)
         )
         reported.append(f"HELD{_of(len(held), many)}: moved {moved_mm:.1f} mm, then {crept_mm:.1f} mm")
-    for said, opened in (("NOT HELD", True), ("the bench did not open", False)):
+    for label, opened in (("NOT HELD", True), ("the bench did not open", False)):
         lost = [v for v in stood if v.held != "HELD" and v.opened is opened]
         if lost:
             worst = max(lost, key=lambda v: v.measured.moved_m).measured
             bound = f"moved {1e3 * worst.moved_m:.1f} mm of {1e3 * worst.most_m:.1f}"
-            reported.append(f"{said}{_of(len(lost), many)}: {bound}")
+            reported.append(f"{label}{_of(len(lost), many)}: {bound}")
     others = sorted({name for v in verdicts for name in v.others})
     return "; ".join([*reported, *([f"also accused: {', '.join(others)}"] if others else [])])
 
