@@ -84,7 +84,7 @@ class Parameters(BaseModel):
 
 @dataclass(frozen=True)
 class Drive:
-    """One closed-loop run."""
+    """One drive with its feedback and control law."""
 
     case: str
     feedback: str

@@ -21,7 +21,7 @@ from hil.core.errors import Aborted, StepTimeoutError
 from hil.support.stop_signals import handled_by
 
 PATIENCE_S = 1.0
-"""Default time for the step to end after Ctrl-C, s."""
+"""Time allowed for the step to end after Ctrl-C, s."""
 _TWICE = "a second SIGINT"
 _LATE = "SIGINT, and time"
 _BY = {

@@ -33,7 +33,7 @@ SERIES = tuple(PALETTE[f"c{k}"] for k in range(1, 6))
 _STRAIGHT = 0.1
 _FINE, _DECADES = (1.0, 2.0, 5.0), (1.0,)
 MOST_POINTS = 400
-"""Of one curve."""
+"""Largest number of points of one curve."""
 
 
 def new_figure(width_in: float = 5.2, height_in: float = 3.0) -> Figure:

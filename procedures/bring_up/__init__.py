@@ -51,7 +51,7 @@ _DEG = float(np.degrees(1.0))
 _PUSHES = 0.5
 """Least cosine between measured and expected push of a drive."""
 _CLEAR = 0.5
-"""Least measured motion: below it something else moved, or hardly anything."""
+"""Least measured value of a clear direction: below it something else moved, or hardly anything."""
 _MOST_DRIFT_PPM = 90.0
 
 

@@ -191,7 +191,7 @@ def fit_driven(
         slack_rad: an angle larger than the backlash.
         about_s: initial guess of the delay.
     """
-    from scipy.interpolate import CubicSpline  # as above
+    from scipy.interpolate import CubicSpline  # takes 0.5 s to import, too
 
     spline = CubicSpline(t_s, angle_rad)
     direction = _directions(t_s, angle_rad, spline(t_s, 1), slack_rad)

@@ -156,7 +156,7 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
     Raises:
         DataError: too few usable intervals, because the camera was not tracking or hardly moved.
     """
-    from scipy.optimize import least_squares  # half a second to import, and not needed to drive
+    from scipy.optimize import least_squares  # takes 0.5 s to import, not needed to drive
 
     x, y, _ = np.asarray(believed_m, dtype=np.float64)
     step_m, turn = truth.steps(parts.begin_s, parts.end_s)

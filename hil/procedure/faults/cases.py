@@ -12,9 +12,9 @@ import numpy as np
 from hil.core.errors import UsageError, did_you_mean
 
 DURATION_S = 2.4
-"""Of the climb."""
+"""Duration of the climb, s."""
 BEGUN_S = 0.45
-"""World time at which the devices of a shipped profile are open."""
+"""World time at which the devices of a shipped profile are open, s."""
 MOMENTS: Mapping[str, str] = {
     "open": "@0.05",
     "motion": "@1.3",

@@ -118,8 +118,8 @@ def _wrong(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
         yield f"the recording: {seen.unreadable}"
     for end in _ends(seen):
         if not _kinds(end.suspects) & struck(cell):
-            accused = ", ".join(sorted(_kinds(end.suspects))) or "no device"
-            yield f"{end.reason} accuses {accused} and not what was struck: {end.text}"
+            suspects = ", ".join(sorted(_kinds(end.suspects))) or "no device"
+            yield f"{end.reason} names {suspects} and not the faulty device: {end.text}"
     yield from _wrong_of_hold(cell, seen, measured)
     yield from _wrong_of_estimate(cell, seen)
 
@@ -128,11 +128,11 @@ def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
     """Yield every violated promise about the hold of the robot."""
     gone, moved_mm, crept_mm = _gone(cell, seen), 1e3 * seen.moved_m, 1e3 * seen.crept_m
     if seen.fallen and not gone:
-        yield "the robot fell, and what was struck had not let it go"
+        yield "the robot fell, and the faulty device had not let it go"
     if seen.state == "HELD" and (seen.fallen or not seen.crept_m <= still_m(cell)):
         yield f"said to be held, and moved by {crept_mm:.1f} mm{', and it fell' if seen.fallen else ''}"
     if seen.cycles and seen.state not in ("HELD", "not needed") and not (gone or need_not_be_held(cell)):
-        yield f"not held: {seen.held.why if seen.held is not None else 'nothing was said'}"
+        yield f"not held: {seen.held.why if seen.held is not None else 'no report'}"
     if not gone and not seen.moved_m <= measured.most_m:
         yield f"moved by {moved_mm:.1f} mm after the stop, more than {1e3 * measured.most_m:.1f} mm"
     if not seen.cycles and not gone and not seen.crept_m <= measured.most_m:
@@ -146,7 +146,7 @@ def _wrong_of_estimate(cell: Cell, seen: Seen) -> Iterator[str]:
     off_m, sigma_m = float(np.hypot(*seen.off_m)), float(np.hypot(*seen.sigma_m))
     if not (np.all(seen.off_m <= SIGMAS * seen.sigma_m + SLACK_M) and off_m <= MOST_OFF_M):
         yield (
-            f"went on to its end {1e3 * off_m:.0f} mm beside its estimate, which says {1e3 * sigma_m:.0f} mm"
+            f"reached its end {1e3 * off_m:.0f} mm from its estimate, whose sigma is {1e3 * sigma_m:.0f} mm"
         )
 
 

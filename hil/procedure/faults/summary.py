@@ -10,14 +10,14 @@ from hil.procedure.faults.judge import CellVerdict
 from hil.procedure.faults.movement_bounds import CLASSES, FaultClass, class_of, kind_of
 
 UNNOTICED = "no sensor notices"
-_AT_THE_END = "struck where the way ends: the run was over before it could be judged"
-_LOST = "single messages are lost or refused by their check, and the next ones say the same"
+_AT_THE_END = "begins at the end of the climb: the run was over before it could be detected"
+_LOST = "single messages are lost or fail their check, and the next ones hold the same data"
 _OF_ANY: Mapping[str, str] = {
-    "duplicate": "what comes twice counts once",
+    "duplicate": "duplicate samples count once",
     "drop": _LOST,
     "truncate": _LOST,
     "corrupt": _LOST,
-    "slow": "a stream is judged second by second: reported within two seconds of a longer run",
+    "slow": "a stream is checked once a second: reported within two seconds in a longer run",
 }
 """Explanation by fault, for device kinds without their own (`DeviceKind.silent_faults`)."""
 
@@ -139,7 +139,7 @@ def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:
             bound = f"moved {1e3 * worst.moved_m:.1f} mm of {1e3 * worst.most_m:.1f}"
             reported.append(f"{label}{_of(len(lost), many)}: {bound}")
     others = sorted({name for v in verdicts for name in v.others})
-    return "; ".join([*reported, *([f"also accused: {', '.join(others)}"] if others else [])])
+    return "; ".join([*reported, *([f"also named: {', '.join(others)}"] if others else [])])
 
 
 def _of(part: int, whole: int) -> str:
