@@ -120,7 +120,7 @@ def closed_bench(backend: str, request: pytest.FixtureRequest) -> Generator[Benc
 
 @pytest.fixture
 def device(closed_bench: Bench, kind: str) -> Generator[Any, None, None]:
-    """An opened device, one after the other."""
+    """Each device in turn, opened."""
     found = closed_bench.rig.get(kind)
     found.open()
     yield found
@@ -135,7 +135,7 @@ def collect(closed_bench: Bench) -> Collect:
 
 @pytest.fixture(scope="module")
 def subject(closed_bench: Bench, backend: str, kind: str, request: pytest.FixtureRequest) -> Subject:
-    """A closed device, one after the other; its recorded samples are shared by all tests."""
+    """Each device in turn, closed; its recorded samples are shared by all tests."""
     virtual = backend.startswith(VIRTUAL)
     return Subject(closed_bench, kind, (lambda: opened(backend, request)) if virtual else None)
 

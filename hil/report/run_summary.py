@@ -73,7 +73,7 @@ def _limits(rows: Sequence[Mapping[str, Any]], every: Sequence[Mapping[str, Any]
     if not judged:
         return ""
     if near:
-        return f"{_of(near, judged, 'held by little')}: {_named(near)}."
+        return f"{_of(near, judged, 'held by a small margin')}: {_named(near)}."
     whole = "Its one limit held" if len(judged) == 1 else f"All {len(judged)} limits held"
     if also:
         return f"{whole}."

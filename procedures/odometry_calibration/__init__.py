@@ -195,7 +195,7 @@ def run(ctx: Context) -> None:
         ctx.note(
             f"Round {best + 1} was driven best; its parameters are the result."
             if best < len(rounds)
-            else f"The result is the fit after round {best}: it reads the round better than what drove it."
+            else f"The result is the fit after round {best}: its held-out error is below that of any round."
         )
         if best == 0:
             ctx.measure("rejected_recordings", 0)

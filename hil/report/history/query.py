@@ -31,7 +31,7 @@ def chosen(
         procedure: name of the procedure; empty for any.
         bench: name of the bench; empty for any.
         verdict: verdict, case-insensitive; empty for any.
-        since: exclude older results.
+        since: exclude results older than this.
         words: search words, case-insensitive; the text of a result must contain all of them.
         within: whether to include single runs of a campaign or a commissioning.
     """
