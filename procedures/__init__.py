@@ -1,1 +1,1 @@
-"""Procedures that come with the bench: a script each, or a folder of one with its parts; also examples."""
+"""The shipped procedures: each is a script or a package; they also serve as examples."""

@@ -1,7 +1,7 @@
-"""A boustrophedon scan of a piece of wall, as for inspection: does the probe see every spot?
+"""A boustrophedon scan of a piece of wall, as for inspection: measures whether the probe covers all of it.
 
-Truth is motion capture. The wall is covered where the body's origin, with a probe of the given width
-across the lanes, has truly been. Lanes go up and down the wall, X, and step along Y.
+Truth is motion capture. The wall is covered where a probe of the given width across the lanes, at the
+body's origin, has truly been. Lanes go up and down the wall, X, and step along Y.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FULL_LANES = 5
 
 
 class Parameters(BaseModel):
-    """Size of the scan, and how it is driven; `compare` drives it on odometry as well."""
+    """Size of the scan and its feedback; `compare` also drives it on odometry."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     lanes: int = Field(5, ge=1, le=50, description="How many parallel lanes are driven.")
@@ -63,7 +63,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
-    """What an inspection needs; odometry must fail on a full scan."""
+    """Yield the requirements of an inspection; odometry must fail on a full scan."""
     why = "a scan of five lanes in simulation: EKF 3.1 and 3.7 mm, odometry 170 and 29.5"
     for axis in ("x", "y"):
         yield Measurement(f"rmse_{axis}", "mm", high=6.0, marginal=0.5, rationale=why)
@@ -89,12 +89,12 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 
 def reference(p: Parameters, start: ArrayLike) -> Trajectory:
-    """The scan from where the robot stands."""
+    """Return the scan from the robot's pose `start`."""
     return scan(start, p.lane_length_m, p.lanes, p.lane_spacing_m, speed_m_s=p.speed_m_s, name="grid scan")
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """The scan, once or twice."""
+    """Plan the scan, once or twice."""
     path = reference(p, config.environment.start_pose)
     yield PlannedStep("check the reference", (path,))
     yield PlannedStep("scan", (path,))
@@ -104,7 +104,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """How much of the wall was seen, and how far the robot strayed."""
+    """Return the covered share of the rectangle, and the errors of the robot."""
     return (
         f"The scan saw {100.0 * v['covered']:.1f} % of its rectangle and ended {v['end']:.1f} mm from its "
         f"goal. Its RMSE is {v['rmse_x']:.1f} mm along X and {v['rmse_y']:.1f} mm along Y."
@@ -150,12 +150,12 @@ def _drive(ctx: Context, p: Parameters, feedback: str) -> dict[str, Any]:
 
 
 def lane_offsets(truth: Array, wanted: Array, start: ArrayLike, p: Parameters) -> Array:
-    """Mean true Y of each lane, relative to the start, shape (lanes,), m; corners left out.
+    """Return the mean true Y of each lane, relative to the start, shape (lanes,), m; corners left out.
 
     Args:
         truth: poses (n, 3); NaN where unknown.
         wanted: reference poses (n, 3).
-        start: where the scan began.
+        start: start pose of the scan.
         p: size of the scan.
     """
     origin = np.asarray(start, dtype=np.float64)
@@ -169,11 +169,11 @@ def lane_offsets(truth: Array, wanted: Array, start: ArrayLike, p: Parameters) -
 
 
 def covered_cells(path: Array, start: ArrayLike, p: Parameters) -> Array:
-    """Cells of the scanned rectangle that the probe has seen, shape (along X, along Y), true or false.
+    """Return which cells of the scanned rectangle the probe has seen, shape (along X, along Y).
 
     Args:
         path: true positions (n, 2) in order, m; NaN where the robot was not seen.
-        start: where the scan began, its corner.
+        start: start pose of the scan, its corner.
         p: size of scan and probe.
     """
     origin = np.asarray(start, dtype=np.float64)[:2]
@@ -214,7 +214,7 @@ def _evaluate(ctx: Context, p: Parameters, runs: dict[str, Any]) -> None:
         "Path and coverage",
         f"Shaded: seen by a probe of {1e3 * p.probe_width_m:.0f} mm. Lines: where the robot truly went.",
     )
-    ctx.figure(belief_figure(shown), "What was believed", "Estimate, which was fed back, minus truth.")
+    ctx.figure(belief_figure(shown), "Error of the estimate", "Estimate, which was fed back, minus truth.")
     ctx.figure(error_figure(shown), "Errors", "Truth minus reference.")
     keys = ("rmse_x", "rmse_y", "rmse_heading", "worst", "saturated_s")
     ctx.table(

@@ -1,8 +1,8 @@
-"""What each part of a robot's record is worth: lines on its wall with nothing known, each part, everything.
+"""Measures the effect of each part of a robot's record: wall lines with no part, with each part, with all.
 
-Lines up and across with feedback from the filter, each from the same start, in a world of the same seed.
-Limits are on the last: what a lab may expect of a robot that was commissioned. Where less is known, the
-bench's checks may stop the robot; its line ends there.
+Lines up and across the wall, with feedback from the filter, each from the same start, in a world of the same
+seed. Limits apply to the last setting: what a lab may expect of a commissioned robot. With fewer known parts
+the bench's checks may stop the robot; its line ends there.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
 
 _BY_WHAT_IS_NOT_KNOWN = ("sensors_disagree", "tracking", "heading")
-"""Stops that a robot may owe to what is not known of it."""
+"""Reasons of stops that may be caused by unknown parameters."""
 Table = dict[str, dict[str, dict[str, float]]]
 """Setting -> line -> error, as in the JSON of `hil commission`."""
 
 
 class Driven(TypedDict):
-    """One line: its errors, as of `tracking_errors`, and the check's words if one stopped it."""
+    """One line: its errors, from `tracking_errors`, and the message of the check that stopped it."""
 
     errors: dict[str, float]
     stopped: str
@@ -51,21 +51,21 @@ class Driven(TypedDict):
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting: its name, and the parts that are known in it."""
+    """One setting: its name, and its known parts."""
 
     name: str
     known: tuple[str, ...]
 
 
 def settings_of(known: Sequence[str], alone: Collection[str]) -> tuple[Setting, ...]:
-    """Nothing known, each part with what it was measured on top of, everything.
+    """Return the settings: nothing known; each part with those that it depends on; everything known.
 
-    Parts without a value for the bench file change nothing and have no setting of their own, and neither have
-    signs (without them nothing moves as it should) and what holds the robot.
+    There is no separate setting for parts without a value for the bench file, which change nothing, for signs
+    (without them no motion is right), and for what holds the robot.
 
     Args:
         known: parts of the record.
-        alone: parts that are tried by themselves.
+        alone: parts that are also tested separately.
     """
     if not known:
         return (Setting(NOTHING, ()),)
@@ -86,7 +86,7 @@ Jobs = list[tuple[Setting, Case]]
 
 
 class Parameters(BaseModel):
-    """What to drive; `single` are the parts of the record that are tried by themselves."""
+    """Lines to drive; `single` are the parts of the record that are tested separately."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     cases: tuple[Case, ...] = Field(
@@ -104,7 +104,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
-    """Limits with everything known, for 1.5 m; they grow with the way."""
+    """Yield the limits with everything known, for 1.5 m; they scale with the length."""
     share = max(p.length_m / REFERENCE_M, 0.3)
     for case in p.cases:
         yield Measurement(
@@ -129,19 +129,19 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 
 def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
-    """The line of a case from where the robot stands."""
+    """Return the line of a case from the robot's pose `start`."""
     pose = np.asarray(start, dtype=np.float64)
     step_m = np.array([p.length_m, 0, 0]) if case == "x_line" else np.array([0, p.length_m, 0])
     return line(pose, pose + step_m, duration_s=p.duration_s, name=case)
 
 
 def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
-    """The lines from the configured start."""
+    """Return the lines from the configured start."""
     return tuple(reference(case, p, config.environment.start_pose) for case in p.cases)
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """Every setting's lines, and the evaluation."""
+    """Plan the lines of every setting, and the evaluation."""
     for setting in _settings(p, config):
         for case, way in zip(p.cases, references(p, config), strict=True):
             yield PlannedStep(f"{setting.name}, {case}", (way,))
@@ -153,15 +153,15 @@ def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """What the record of the robot is worth at the end of its lines."""
-    said = []
+    """Return the end errors with everything and with nothing known."""
+    sentences = []
     for case, where in (("x_line", "Up the wall"), ("y_line", "Across it")):
         if f"{case}.end" in v:
             before, after = v[f"{case}.nothing_known.end"], v[f"{case}.end"]
-            said.append(
+            sentences.append(
                 f"{where}, the robot ends {after:.1f} mm from its goal; {before:.0f} with nothing known."
             )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 @procedure(
@@ -198,11 +198,11 @@ def drive(bench: Bench, case: str, p: Parameters, *, may_stop: bool) -> Driven:
     """Drive one line on a fresh bench.
 
     Args:
-        bench: to drive.
-        case: which line.
-        p: its length and times.
-        may_stop: whether a check of what sensors measure ends the line, and not the run: where less is known
-            than there is, so that the line is not judged.
+        bench: bench to drive.
+        case: name of the line.
+        p: length and times.
+        may_stop: whether a failed check of sensor data ends only the line and not the run: true if not all
+            parts are known, as such a line is not judged.
     """
     start = stand(bench)
     way = reference(case, p, start)
@@ -254,7 +254,7 @@ def _label(setting: Setting, case: str) -> str:
 
 
 def evaluate(ctx: Context, jobs: Jobs, lines: list[Driven]) -> None:
-    """Measurements, the table that other programs read, and the figure."""
+    """Set measurements; leave the table for other programs, and the figure."""
     table = _tabulated(ctx, jobs, lines)
     ctx.leave_data("wall", table)
     ctx.figure(
@@ -265,7 +265,7 @@ def evaluate(ctx: Context, jobs: Jobs, lines: list[Driven]) -> None:
 
 
 def _tabulated(ctx: Context, jobs: Jobs, lines: list[Driven]) -> Table:
-    """Leave measurements and table of what has been driven, the first of the jobs; returns the table."""
+    """Leave measurements and table of the driven lines, the first of the jobs; return the table."""
     table: Table = {}
     for (setting, case), driven in zip(jobs, lines, strict=False):
         own = driven["errors"]

@@ -1,8 +1,8 @@
-"""Lines and a scan on the wall with feedback from odometry, EKF and UKF: which corrects slip and sag?
+"""Lines and a scan on the wall with feedback from odometry, EKF and UKF: compares their slip and sag.
 
 Every case starts from the same pose, in a world of the same seed. Truth is motion capture. The limits
-are those that the paper's experiments call for (arXiv 2509.04016). Limits on means hold for several seeds.
-In a single world such a figure is decided by the camera's scale, which is drawn once.
+follow from the paper's experiments (arXiv 2509.04016). Limits on means apply to several seeds: in a single
+world the result depends mainly on the camera's scale, which is drawn once.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _FILTERS = {"ekf": "the EKF", "ukf": "the UKF"}
 _LINES = (("x_line", "Up the wall", "short", "shortfall"), ("y_line", "Across it", "too low", "sag"))
 Case = Literal["x_line", "y_line", "scan"]
 World = dict[str, Any]
-"""What each drive in the worlds of one seed has given, by its label: `errors`, and of the first `series`."""
+"""Results of the drives of one seed by label: `errors`, and for the first seed `series`."""
 _SEEDS_FOR_MEANS = 5
 _RESOLVED_MM = 0.1
 _NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
 
 
 class Parameters(BaseModel):
-    """What to drive; `seeds` runs that many worlds, the first with the run's own seed."""
+    """Paths and feedbacks; `seeds` is the number of worlds, the first with the run's own seed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     cases: tuple[Case, ...] = Field(
@@ -84,7 +84,7 @@ class Parameters(BaseModel):
 
 @dataclass(frozen=True)
 class Drive:
-    """One closed-loop run."""
+    """One drive with its feedback and control law."""
 
     case: str
     feedback: str
@@ -92,12 +92,12 @@ class Drive:
 
     @property
     def label(self) -> str:
-        """Short name, also of its recording."""
+        """Short name, also used for its recording."""
         return f"{self.case} {'optimal' if self.law == 'optimal' else self.feedback}"
 
 
 def drives(p: Parameters) -> list[Drive]:
-    """All runs of one seed; the optimal law is held against the non-linear one on the Y line."""
+    """Return all drives of one seed; the optimal law is compared with the non-linear one on the Y line."""
     found = [Drive(c, f, "nonlinear") for c in p.cases for f in p.feedbacks]
     if p.optimal and "y_line" in p.cases and "ekf" in p.feedbacks:
         found.append(Drive("y_line", "ekf", "optimal"))
@@ -105,7 +105,7 @@ def drives(p: Parameters) -> list[Drive]:
 
 
 def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
-    """The reference of a case from where the robot stands."""
+    """Return the reference of a case from the robot's pose `start`."""
     pose = np.asarray(start, dtype=np.float64)
     if case == "scan":
         return scan(pose, p.lane_length_m, p.lanes, p.lane_spacing_m, speed_m_s=p.scan_speed_m_s)
@@ -114,7 +114,7 @@ def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
-    """Limits for 1.5 m on melamine; what odometry must show scales with the distance."""
+    """Yield the limits for 1.5 m on melamine; those of odometry scale with the distance."""
     several = p.seeds >= _SEEDS_FOR_MEANS
     for case in p.cases:
         for feedback in p.feedbacks:
@@ -177,12 +177,12 @@ def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]
 
 
 def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
-    """What is driven in each world, from the configured start."""
+    """Return the references of each world, from the configured start."""
     return tuple(reference(d.case, p, config.environment.start_pose) for d in drives(p))
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """The references' check, one step per seed, the evaluation."""
+    """Plan the check of the references, one step per seed, and the evaluation."""
     yield PlannedStep("check the references", references(p, config))
     for number in range(p.seeds):
         yield PlannedStep(f"world {number + 1} of {p.seeds}")
@@ -190,7 +190,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
-    """Drive one case on a fresh bench; returns its errors and series as JSON values."""
+    """Drive one case on a fresh bench; return its errors and series as JSON values."""
     start = stand(bench)
     motion = bench.drive(
         reference(one.case, p, start),
@@ -203,16 +203,16 @@ def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """How far from its goal the robot ends by odometry and by the filters."""
-    said = []
+    """Return the distances from the goal with odometry and with the filters."""
+    sentences = []
     for case, where, way, lost in _LINES:
         parts = []
         if f"{case}.odometry.{lost}" in v:
             parts.append(f"odometry ends {v[f'{case}.odometry.{lost}']:.0f} mm {way}")
         ends = {name: v.get(f"{case}.{key}.end") for key, name in _FILTERS.items()}
         parts += [f"{name} {end:.1f} mm from its goal" for name, end in ends.items() if end is not None]
-        said += [f"{where}, {', '.join(parts)}."] if parts else []
-    return " ".join(said)
+        sentences += [f"{where}, {', '.join(parts)}."] if parts else []
+    return " ".join(sentences)
 
 
 @procedure(
@@ -242,12 +242,12 @@ def run(ctx: Context) -> None:
 
 
 def one_world(ctx: Context, seed: int, found: World) -> World:
-    """All cases in worlds of one seed; only the first seed's are drawn.
+    """Drive all cases in worlds of one seed; only those of the first seed are drawn.
 
     Args:
-        ctx: of the run.
-        seed: of the worlds.
-        found: receives what each drive gives as soon as it is over.
+        ctx: context of the run.
+        seed: seed of the worlds.
+        found: receives the result of each drive when it ends.
 
     Returns:
         `found`.
@@ -277,7 +277,7 @@ def _label(one: Drive, seed: int) -> str:
 
 
 def measure(ctx: Context, worlds: Sequence[World]) -> None:
-    """Tables of what was driven, and measurements of what was driven in every world."""
+    """Leave tables of all drives; set measurements of cases that were driven in every world."""
     p: Parameters = ctx.parameters
     driven = worlds[0] if worlds else {}
     errors = {
@@ -303,7 +303,7 @@ def measure(ctx: Context, worlds: Sequence[World]) -> None:
 
 
 def show(ctx: Context, world: World) -> None:
-    """Figures of the first world."""
+    """Leave the figures of the first world."""
     p: Parameters = ctx.parameters
     for case in p.cases:
         shown = {
@@ -318,8 +318,8 @@ def show(ctx: Context, world: World) -> None:
         )
         ctx.figure(
             partial(belief_figure, shown),
-            f"{name}: what was believed",
-            "Estimate minus truth: odometry believes that it follows the reference.",
+            f"{name}: error of the estimate",
+            "Estimate minus truth: the pose of odometry follows the reference despite slip.",
         )
 
 

@@ -1,6 +1,6 @@
-"""For authors of devices: the description here, drivers in `hil.devkit.driver`, chips in `hil.devkit.chip`.
+"""For authors of devices: device descriptions; drivers in `hil.devkit.driver`, chips in `hil.devkit.chip`.
 
-The description is imported by every command, so it names driver and chip by string and imports neither.
+Every command imports the description, so it names driver and chip by string and imports neither.
 """
 
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from hil.devices.serial_and_can_models import CanModel, SerialModel
 from hil.loop.cycle_data import Check, Cycle, LastingCheck
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker as MessageMaker  # it loads rosbags
+    from hil.recording.ros_types import MessageMaker as MessageMaker  # importing it loads rosbags
 
 __all__ = [
     "Array",

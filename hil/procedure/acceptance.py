@@ -1,8 +1,8 @@
 """Acceptance: whether a bench is as its file says and fulfils the device contract.
 
-Doctor, the contract of every device, how old their samples are; then, if a person says that the robot is on
-a stand, the contract of the servos with turning wheels and how late they turn. The same stages for emulated
-devices and real ones. What was found is kept whatever ends it.
+Stages: doctor, the contract of every device, the age of the samples. Then, if a person confirms that the
+robot is on a stand, the contract of the servos with turning wheels, and their delays. Emulated and real
+devices go through the same stages. The findings are kept even when the acceptance ends early.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ QUESTION = "is the robot on a stand, all four wheels free, and no fingers near t
 
 @dataclass
 class Stage:
-    """One part of an acceptance: what was found, and the verdict once it has ended."""
+    """One part of an acceptance: its findings, and its verdict once it has ended."""
 
     name: str
     verdict: str = Verdict.ABORTED.value
@@ -58,7 +58,7 @@ class Stage:
     findings: list[Finding] = field(default_factory=list)
 
     def end(self, verdict: Verdict | None = None, why: str = "", left_out: str = "") -> None:
-        """Judge it by its findings, unless a verdict is given; with something left out it has not passed."""
+        """Set the verdict: the given one, else FAIL (a check failed), ABORTED (one was left out) or PASS."""
         failed = sum(f.level == "failure" for f in self.findings)
         why = why or (f"{failed} of {len(self.findings)} checks failed" if failed else "")
         self.why = "; ".join(filter(None, (why, left_out)))
@@ -66,7 +66,7 @@ class Stage:
         self.verdict = (verdict or (Verdict.FAIL if failed else whole)).value
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data."""
+        """Return the stage as a JSON object."""
         findings = [f.to_json() for f in self.findings]
         return {
             "name": self.name,
@@ -79,13 +79,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """What to accept and how.
+    """Bench and options of an acceptance.
 
     Attributes:
         source: the bench.
         now: date and time, ISO 8601.
         on_stand: the operator has said that the wheels are free; otherwise the operator is asked.
-        operator: who answers.
+        operator: answers questions.
         report: progress.
         interrupts: signals.
         watch_s: how long the doctor reads each device.
@@ -101,16 +101,16 @@ class Acceptance:
 
 
 def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
-    """Run all stages; wheels turn only if all before was right, and a person has said that they may.
+    """Run all stages. The wheels turn only if no earlier stage failed and a person has allowed it.
 
     Args:
-        asked: what and how.
+        asked: the bench and the options.
 
     Returns:
         JSON values (`verdict`, `bench`, `stages`, `devices`, `files`, ...), and the exit code.
 
     Raises:
-        ConfigError, UsageError: bench file or fault are wrong; no device was opened.
+        ConfigError, UsageError: the bench file or a fault is wrong; no device was opened.
     """
     config = asked.source.config
     asked.source.check_faults()
@@ -142,17 +142,17 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
 
 
 class _Running:
-    """The stages of one acceptance, one after the other."""
+    """Runs the stages of one acceptance, one after the other."""
 
     def __init__(self, asked: Acceptance) -> None:
-        self._asked, self._config = asked, asked.source.config
+        self._request, self._config = asked, asked.source.config
         self.stages = {name: Stage(name) for name in TITLES}
         self.current = self.stages[DOCTOR]
         self.held: dict[str, object] | None = None
         self._identities: dict[str, dict[str, str]] = {}
 
     def all(self) -> None:
-        """Every stage; raises `Aborted` where a person or a signal ends it."""
+        """Run every stage; raise `Aborted` if a person or a signal ends the acceptance."""
         self._look()
         self._contracts()
         stage = self.current = self.stages[MOTION]
@@ -160,18 +160,18 @@ class _Running:
         if "servos" not in self._config.devices():
             stage.end(Verdict.PASS, "the bench has no servos: nothing can turn")
         elif any(s.verdict == Verdict.FAIL.value for s in self.stages.values()):
-            stage.end(Verdict.ABORTED, "not done: fix first what failed above, then accept again")
+            stage.end(Verdict.ABORTED, "not done: first repair what failed above, then accept again")
         else:
             self._may_turn()
             self._turn(stage)
 
     def verdict(self) -> Verdict:
-        """Of the whole."""
+        """Return the verdict of the acceptance: FAIL, else ABORTED, if a stage has it; else PASS."""
         verdicts = {stage.verdict for stage in self.stages.values()}
         return next((v for v in (Verdict.FAIL, Verdict.ABORTED) if v.value in verdicts), Verdict.PASS)
 
     def exit_code(self) -> int:
-        """As `hil` ends: 3 where the doctor found a device that is wrong, as `hil doctor` does."""
+        """Return the exit code of `hil`: like `hil doctor`, 3 if the doctor found a faulty device."""
         if self.verdict() is Verdict.PASS:
             return EXIT_PASS
         if self.verdict() is Verdict.ABORTED:
@@ -180,8 +180,8 @@ class _Running:
         return EXIT_DEVICE if sick else EXIT_LIMIT_FAILED
 
     def devices(self) -> dict[str, dict[str, Any]]:
-        """Each device: whether it is real, and who it said it is."""
-        real = self._asked.source.real
+        """Return the backend (real or emulated), the model and the reported identity of each device."""
+        real = self._request.source.real
         return {
             name: {
                 "backend": "real" if name in real else "emulated",
@@ -192,7 +192,7 @@ class _Running:
         }
 
     def _opened(self) -> tuple[Bench, list[Finding]]:
-        source = self._asked.source
+        source = self._request.source
         return open_degraded(
             source.bench,
             emulate=source.emulate,
@@ -204,35 +204,35 @@ class _Running:
         )
 
     def _look(self) -> None:
-        """What `hil doctor` says."""
+        """Run the checks of `hil doctor`."""
         stage, total = self.stages[DOCTOR], len(self._config.devices())
-        self._asked.report(DOCTOR, 0, total)
-        with self._asked.interrupts.heeded():
+        self._request.report(DOCTOR, 0, total)
+        with self._request.interrupts.heeded():
             bench, stage.findings = self._opened()
             seen = {f.device for f in stage.findings}
-            for finding in examine(bench, watch_s=self._asked.watch_s):
-                self._asked.interrupts.stop_here()
+            for finding in examine(bench, watch_s=self._request.watch_s):
+                self._request.interrupts.stop_here()
                 stage.findings.append(finding)
                 if finding.device in self._config.devices() and finding.device not in seen:
                     seen.add(finding.device)
-                    self._asked.report(DOCTOR, len(seen), total)
+                    self._request.report(DOCTOR, len(seen), total)
         stage.end()
 
     def _contracts(self) -> None:
-        """The contract of every device that could be opened, and the age of its samples."""
+        """Check the contract of every device that could be opened, and the age of its samples."""
         self.current, late = self.stages[CONTRACT], self.stages[LATENCY]
-        if not self._asked.source.virtual:
+        if not self._request.source.virtual:
             late.findings.append(punctuality(self._config))
         closed = {
             f.device for f in self.stages[DOCTOR].findings if f.check == "open" and f.level == "failure"
         }
         devices = [name for name in self._config.devices() if name not in closed]
-        anew = self._asked.source.open if self._asked.source.virtual else None
+        anew = self._request.source.open if self._request.source.virtual else None
         bench, _ = self._opened()
         try:
             bench.begin()
             for number, name in enumerate(devices):
-                self._asked.report(CONTRACT, number, len(devices))
+                self._request.report(CONTRACT, number, len(devices))
                 subject = Subject(bench, name, anew)
                 for promise, check in AT_REST.items():
                     self._one(self.current, name, promise, partial(check, subject))
@@ -241,22 +241,22 @@ class _Running:
                     self._identities[name] = dict(subject.watched.identity)
         finally:
             bench.close()
-        self._asked.report(CONTRACT, len(devices), max(len(devices), 1))
-        left = f"not asked, because they do not open: {', '.join(sorted(closed))}" if closed else ""
+        self._request.report(CONTRACT, len(devices), max(len(devices), 1))
+        left = f"not checked, because they do not open: {', '.join(sorted(closed))}" if closed else ""
         for stage in (self.current, late):
             stage.end(left_out=left)
 
     def _one(self, stage: Stage, device: str, promise: str, check: Callable[[], str]) -> None:
-        """One check; a signal before it, or within, ends the acceptance."""
-        self._asked.interrupts.finish_here()
-        with self._asked.interrupts.heeded():
+        """Run one check; a signal before or during the check ends the acceptance."""
+        self._request.interrupts.finish_here()
+        with self._request.interrupts.heeded():
             finding = judged(device, promise, check)
-            self._asked.interrupts.stop_here()  # a check that was cut short says nothing of the device
+            self._request.interrupts.stop_here()  # an interrupted check says nothing about the device
         stage.findings.append(finding)
 
     def _may_turn(self) -> None:
-        """Raise `Aborted` unless the servos are emulated, or a person says that the wheels are free."""
-        asked = self._asked
+        """Raise `Aborted` unless the servos are emulated or a person confirms that the wheels are free."""
+        asked = self._request
         if "servos" not in asked.source.real or asked.on_stand:
             return
         with asked.interrupts.heeded():
@@ -269,8 +269,8 @@ class _Running:
             )
 
     def _turn(self, stage: Stage) -> None:
-        """Contract and delays of the servos; the first that fails is the last that moves."""
-        source = self._asked.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
+        """Check contract and delays of the servos in motion; stop after the first failed check."""
+        source = self._request.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
         bench = source.open()
         bench.warns_not_held = False
         try:
@@ -288,16 +288,16 @@ class _Running:
     def _checks_in_motion(self, stage: Stage, bench: Bench) -> None:
         total = len(IN_MOTION) + 1
         for number, (promise, check) in enumerate(IN_MOTION.items()):
-            self._asked.report(MOTION, number, total)
+            self._request.report(MOTION, number, total)
             self._one(stage, "servos", promise, partial(check, bench))
             if stage.findings[-1].level == "failure":
                 return
-        self._asked.report(MOTION, total - 1, total)
+        self._request.report(MOTION, total - 1, total)
         found: list[Finding] = []
         delays = without_restart(lambda bench: _collected(found, delays_in_motion(bench)))
         self._one(stage, "servos", "delays", partial(delays, bench))
         stage.findings += found
-        self._asked.report(MOTION, total, total)
+        self._request.report(MOTION, total, total)
 
 
 def _collected(found: list[Finding], findings: Iterator[Finding]) -> str:
@@ -306,7 +306,7 @@ def _collected(found: list[Finding], findings: Iterator[Finding]) -> str:
 
 
 def _files(source: BenchSource) -> Iterator[dict[str, str]]:
-    """What the bench was made from, each with its SHA-256: what a signature under the report speaks of."""
+    """Yield the files that define the bench, with their SHA-256: a signature on the report covers these."""
     config = source.config
     used = json.dumps(config.model_dump(mode="json", by_alias=True), sort_keys=True).encode()
     if isinstance(source.bench, (str, Path)) and Path(source.bench).is_file():

@@ -1,4 +1,4 @@
-"""A piece of `bench.toml` as a result: to be looked at and copied, never installed by itself."""
+"""Writes sections of `bench.toml` as a result of a run, to be reviewed and copied by a person."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ NAME = "bench_fragment.toml"
 
 
 def write_fragment(ctx: Context, values: Mapping[str, Mapping[str, Any]], why: str) -> Path:
-    """Write the sections and attach them.
+    """Write the sections to `bench_fragment.toml` and attach this file to the run.
 
     Args:
-        ctx: of the run.
+        ctx: context of the run.
         values: section -> key -> value, as in `bench.toml`.
-        why: what they are, for the first line of the file.
+        why: what the values are, for the first line of the file.
     """
     path = ctx.folder / NAME
     config, seed = ctx.source.config, ctx.source.seed
@@ -32,7 +32,7 @@ def write_fragment(ctx: Context, values: Mapping[str, Mapping[str, Any]], why: s
 
 
 def seal_fragment(folder: Path, verdict: str) -> None:
-    """Write into the piece that a run has left, if any, how the run ended; raises `DataError`."""
+    """Write the verdict of the run into its bench fragment, if there is one; raises `DataError`."""
     path = folder / NAME
     if path.is_file():
         write_text(path, with_verdict(path.read_text(encoding="utf-8"), verdict))

@@ -1,4 +1,4 @@
-"""Which bench a procedure runs on, as data: can be opened again and again, and sent to another process."""
+"""Describes the bench of a procedure as data: it can be opened repeatedly and sent to another process."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BenchSource:
-    """Arguments of `hil.bench.open_bench`, checked when the configuration is first asked for.
+    """Arguments of `hil.bench.open_bench`, checked when `config` is first read.
 
     Attributes:
         bench: file, profile name or configuration.
         emulate: devices to emulate, `all`, or None for what the file says.
-        seed: of the emulated world.
-        realtime: emulated devices at the wire, in real time.
+        seed: seed of the emulated world.
+        realtime: emulate devices at wire level, in real time.
         faults: fault specs.
         overrides: dotted key -> value.
         calibration: file to apply.
-        controller: class of the user's own that drives every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or
-            `ros2:TOPIC` of a program, which `publish` then asks; empty for the law of bench and procedure.
-        watch: sinks that every opening of it is shown to.
-        publish: makes one more sink from a bench's header, for every opening in this process; None for none.
+        controller: the user's own controller for every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or
+            `ros2:TOPIC` of a ROS 2 program (needs `publish`); empty for the law of bench and procedure.
+        watch: sinks added to every bench opened from this source.
+        publish: makes one more sink from the header of a bench opened in this process; None for none.
     """
 
     bench: str | Path | BenchConfig = "emulated"
@@ -52,40 +52,40 @@ class BenchSource:
     publish: Callable[[Mapping[str, Any]], Sink] | None = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What another process gets: it does not publish."""
+        """Return the state to pickle for another process, without `publish`."""
         return {**self.__dict__, "publish": None}
 
     @cached_property
     def config(self) -> BenchConfig:
-        """The checked configuration, as the bench will run; raises `ConfigError`."""
+        """The checked configuration with which the bench will run; raises `ConfigError`."""
         found = load_bench(self.bench, emulate=self.emulate, overrides=self.overrides, seed=self.seed)
         return found.settled(realtime=self.realtime)
 
     @property
     def virtual(self) -> bool:
-        """Whether it runs in virtual time: everything emulated and nothing at the wire."""
+        """Whether the bench runs in virtual time: all devices are emulated, none at wire level."""
         return not self.realtime and len(self.config.emulated()) == len(self.config.devices())
 
     @property
     def real(self) -> tuple[str, ...]:
-        """Names of the devices that are real."""
+        """Names of the real devices."""
         return tuple(n for n in self.config.devices() if n not in self.config.emulated())
 
     def check_faults(self) -> None:
-        """Plan the emulated devices and hold the faults against them, before anything is opened.
+        """Check the faults against the emulated devices before anything is opened.
 
         Raises:
-            UsageError, ConfigError: a device that cannot be emulated like that, or a fault that cannot be
-                read or that no device can produce.
+            UsageError, ConfigError: a device cannot be emulated as configured, or a fault cannot be parsed
+                or is not supported by any device.
         """
         from hil.bench import check_faults
 
         check_faults(self.config, self.faults)
 
     def with_its_faults(self) -> BenchSource:
-        """The same bench with those faults only that name a device which it emulates.
+        """Return the same bench with only the faults of devices that it emulates.
 
-        For a bench that devices were left out of: `check_faults` refuses the faults of these.
+        For a bench from which devices were removed: `check_faults` would reject their faults.
         """
         from hil.bench import faults_within
 
@@ -93,7 +93,7 @@ class BenchSource:
         return replace(self, faults=kept, overrides={**self.overrides, "emulation.faults": []})
 
     def open(self, sinks: Sequence[Sink] = ()) -> Bench:
-        """A bench, to be used as a context manager; nothing is opened before it is entered."""
+        """Return a bench to use as a context manager; devices are opened when the context is entered."""
         from hil.bench import open_bench
 
         bench = open_bench(
@@ -119,7 +119,7 @@ class BenchSource:
         return self.controller.startswith(ROS2)
 
     def _attach(self, bench: Bench) -> None:
-        """What publishes it, and what drives it."""
+        """Attach the publishing sink and the controller to a bench."""
         if self.controller and not self.on_ros2:
             bench.own_controller = partial(make_own, self.controller)
         sink = None if self.publish is None else self.publish(bench.header())
@@ -140,12 +140,12 @@ class BenchSource:
         calibration: Path | None = None,
         overrides: Mapping[str, object] | None = None,
     ) -> BenchSource:
-        """The same bench with another seed, another calibration or further overrides.
+        """Return the same bench with another seed, another calibration or further overrides.
 
         Args:
-            seed: of the world; None keeps it.
-            calibration: file; None keeps it.
-            overrides: keys of the bench file to values, on top of those there are.
+            seed: seed of the emulated world; None keeps the current one.
+            calibration: calibration file; None keeps the current one.
+            overrides: dotted keys of the bench file -> values, added to the current overrides.
         """
         return replace(
             self,
@@ -155,10 +155,10 @@ class BenchSource:
         )
 
     def describe_calibration(self) -> dict[str, Any] | None:
-        """File, version, verdict and SHA-256 of the calibration in use; None without one.
+        """Return path, version, date, verdict and SHA-256 of the calibration in use; None without one.
 
         Raises:
-            ConfigError: it cannot be read, was made for another robot, or failed.
+            ConfigError: the file cannot be read, was made for another robot, or its validation failed.
         """
         path = self.calibration or (Path(self.config.calibration) if self.config.calibration else None)
         if path is None:
@@ -175,7 +175,7 @@ class BenchSource:
         }
 
     def header(self) -> dict[str, Any]:
-        """What results and recordings say about it."""
+        """Return the description of the bench for results and recordings."""
         return {
             "config": self.config.model_dump(mode="json", by_alias=True),
             "calibration": self.describe_calibration(),

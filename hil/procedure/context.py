@@ -1,4 +1,4 @@
-"""What a procedure gets: parameters, a bench, steps that are limited in time and can be resumed, results."""
+"""The context of a procedure: parameters, bench, results, and steps with time limits that can be resumed."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ _GO_ON = "the steps that follow, and what they measure, are left out; --resume g
 
 
 class Context:
-    """One run of a procedure, as seen from inside: its steps, its benches, and what it leaves.
+    """One run of a procedure as its function sees it: steps, benches and results.
 
     Args:
-        proc, parameters, options, results, benches: what it is put together from.
+        proc, parameters, options, results, benches: parts of the run.
 
     Attributes:
-        procedure: its name.
-        parameters: the procedure's, typed.
-        source: which bench, to open it again (`reopen`) or in another process.
+        procedure: name of the procedure.
+        parameters: typed parameters of the procedure.
+        source: describes the bench, to open it again (`reopen`) or in another process.
         folder: results folder of the run.
-        clock: for how long computing takes; the bench has its own.
+        clock: measures computing time; the bench has its own clock.
         started: date and time at which the run began, ISO 8601.
-        guard: ends a loop that runs too long, or when a signal came.
-        findings: what has been left so far.
-        teardown, early_end: what `on_teardown` and `on_early_end` have registered: titles and actions.
+        guard: ends a loop that exceeds its time limit or after a signal.
+        findings: results so far.
+        teardown, early_end: titles and actions registered by `on_teardown` and `on_early_end`.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Context:
 
     @property
     def seed(self) -> int:
-        """Seed of the emulated world and of whatever else needs one."""
+        """Seed of the emulated world and of any other random numbers."""
         return self.source.seed
 
     @property
@@ -68,7 +68,7 @@ class Context:
         """The bench, opened on first use and recorded from then on.
 
         Raises:
-            ConfigError: the emulated robot is not where a checkpoint that is not repeated has left it.
+            ConfigError: after a resume, the emulated robot is not where a finished checkpoint left it.
         """
         return self.benches.bench
 
@@ -90,7 +90,8 @@ class Context:
             seed: another seed of the world.
             calibration: another calibration file.
             overrides: further configuration overrides.
-            prompt: what to ask of the operator of a real bench instead, also before the first opening.
+            prompt: question for the operator of a real bench instead of the default; also asked before the
+            first opening.
 
         Raises:
             Aborted: the operator says no, or there is no answer.
@@ -99,22 +100,22 @@ class Context:
         return self.benches.reopen(changed, label, prompt)
 
     def at_once(self, errands: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
-        """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
+        """Drive benches in worker processes. The run's own bench, if open, is not changed.
 
         Args:
-            errands: what to drive.
-            workers: the processes that drive it.
+            errands: drive jobs.
+            workers: processes that run them.
 
         Yields:
-            What each drive returned, in the order of the errands.
+            What each job returned, in the order of the jobs.
 
         Raises:
-            HilError: what ended one of the drives early.
+            HilError: the error that ended one of the jobs early.
         """
         return self.benches.at_once(errands, workers)
 
     def prompt(self, question: str) -> str:
-        """Ask the operator; raises `Aborted` where there is no operator."""
+        """Ask the operator; return the answer. Raises `Aborted` without an operator."""
         with self.guard.paused():
             answer = self.options.operator.ask(question)
         return self.results.note_answer(question, answer)
@@ -125,10 +126,10 @@ class Context:
         return self.results.where
 
     def measure(self, name: str, value: float | bool) -> None:
-        """Set a declared measurement. Of one that is set again the last value counts, and the result says so.
+        """Set a declared measurement. If it is set again, the last value counts and the result notes this.
 
         Raises:
-            UsageError: not declared, or not one number.
+            UsageError: the measurement is not declared, or the value is not a single number.
         """
         self.results.measure(name, value)
 
@@ -143,29 +144,29 @@ class Context:
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
     ) -> None:
-        """Leave a table; cells become text, a float with four significant digits.
+        """Add a table to the results; cells become text, floats get four significant digits.
 
         Args:
             title: unique in the run.
             head: one label per column.
-            rows: cells, as many as labels.
-            note: a sentence below it.
+            rows: cells, one per column.
+            note: a sentence below the table.
 
         Raises:
-            UsageError: a title that another table has, or a row that is longer or shorter than the head.
+            UsageError: another table has this title, or a row has a wrong number of cells.
         """
         self.results.table(title, head, rows, note)
 
     def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
-        """Leave a matplotlib figure as SVG, unless the run keeps its results alone.
+        """Save a matplotlib figure as SVG, unless the run keeps only `results`.
 
         Args:
-            figure: to save, or what draws it, which is called only where figures are kept.
+            figure: figure, or a function that draws it; the function is called only if figures are kept.
             title: unique in the run.
             caption: what to see in it.
 
         Raises:
-            UsageError: what is no figure, or a title that another one has.
+            UsageError: not a figure, or another figure has this title.
         """
         self.results.figure(figure, title, caption)
 
@@ -173,39 +174,39 @@ class Context:
         """Keep a file with the results.
 
         Args:
-            name: what it is, for the reader.
-            path: of the file. It is copied unless it is already in the folder; the copy of one whose name is
-                taken by another content becomes `NAME-2.SUFFIX`.
+            name: description for the reader.
+            path: the file. It is copied unless it is already in the folder; if the name is taken by a file of
+                other content, the copy is named `NAME-2.SUFFIX`.
 
         Returns:
-            Where it lies in the folder.
+            Path of the file in the folder.
         """
         return self.results.attach(name, path)
 
     def leave_data(self, name: str, value: Any) -> None:
-        """Leave JSON values for other programs, as `data` of `result.json`.
+        """Add JSON values for other programs to `data` of `result.json`.
 
         Args:
-            name: their key.
-            value: numbers, texts, lists and dictionaries; numbers and arrays of numpy become such.
+            name: key of the values.
+            value: numbers, texts, lists and dictionaries; numpy numbers and arrays are converted.
 
         Raises:
-            UsageError: anything else in it.
+            UsageError: the value contains another type.
         """
         self.results.leave_data(name, value)
 
     def note(self, text: str) -> None:
-        """Leave a sentence for the reader of the report."""
+        """Add a sentence for the reader to the report."""
         self.results.note(text)
 
     @contextmanager
     def step(self, title: str, timeout_s: float = STEP_LIMIT_S) -> Iterator[None]:
-        """Mark a step: journaled, limited in time on the bench clock, and a place to end in order.
+        """Mark a step: noted in the journal, limited in time; a stop request may end the run before or after.
 
         Raises:
-            Aborted: at its beginning or end, after SIGINT.
-            StepTimeoutError: more than `timeout_s` passed on the bench's clock. A loop that runs is ended, in
-                virtual time whatever else waits for the clock, too; else it is raised at the end.
+            Aborted: at the beginning or end of the step, after SIGINT.
+            StepTimeoutError: more than `timeout_s` passed on the bench's clock. It ends a running loop (in
+                virtual time also any other wait on the clock); otherwise it is raised at the end of the step.
         """
         self._interrupts.finish_here(f"before the step {title!r}", _GO_ON)
         entry = self.results.add_step(title, "failed")
@@ -233,14 +234,14 @@ class Context:
 
         Args:
             title: unique within the run.
-            function: does the work; what it measures, attaches and draws is kept with its result.
+            function: does the work; its measurements, files and figures are kept with its result.
             timeout_s: as for `step`.
 
         Returns:
             The function's result as JSON gives it back (tuples become lists).
 
         Raises:
-            UsageError: a title used twice, or a result that is no JSON value.
+            UsageError: the title is used twice, or the result is not a JSON value.
         """
         if title in self._seen:
             raise UsageError(f"checkpoint {title!r} exists twice", expected="a title of its own")
@@ -275,26 +276,26 @@ class Context:
         return last["value"]
 
     def progress(self, what: str, done: int, total: int, whole: tuple[int, int] | None = None) -> None:
-        """Say how far the work is.
+        """Report progress.
 
         Args:
-            what: piece of work, in words.
-            done: how much of it is done, of
-            total: in units of its own.
-            whole: (done, total) of the whole run, where that is known: the time left is then its.
+            what: name of the piece of work.
+            done: amount done, in any unit.
+            total: total amount, in the same unit.
+            whole: (done, total) of the whole run, if known; the time left is then computed from it.
         """
         if whole is not None:
             self._report(WHOLE, *whole)
         self._report(what, done, total)
 
     def on_teardown(self, action: Callable[[], None], title: str = "teardown") -> None:
-        """Have something done at the end whatever happens, last registered first, bench still open."""
+        """Register an action for the end of the run, also after an error: last first, bench still open."""
         self.teardown.append((title, action))
 
     def on_early_end(self, action: Callable[[], object], title: str = "evaluating what was finished") -> None:
-        """Have something done where the run ends early: measurements of what was finished until then.
+        """Register an action for an early end of the run, for example to measure what was finished.
 
-        It gets the time of a teardown, before what `on_teardown` has registered, and the bench may be in any
-        state. A run that comes to its end does not do it.
+        It runs before the actions of `on_teardown`, with the time limit of a teardown action. The bench may
+        be in any state. The action does not run if the procedure reaches its end.
         """
         self.early_end.append((title, action))

@@ -49,7 +49,7 @@ class NoParameters:
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """One step as announced before the run, with the trajectories that it drives."""
+    """One planned step with the trajectories that it drives."""
 
     title: str
     trajectories: tuple[Trajectory, ...] = ()
@@ -60,19 +60,19 @@ class Procedure:
     """A declared procedure.
 
     Attributes:
-        name: of the procedure, as in results.
+        name: name of the procedure, as in results.
         body: the function.
-        needs: devices without which it cannot run.
+        needs: devices that it requires.
         parameters: dataclass or pydantic model with defaults.
-        measurements: what it measures, or a function that says so of the parameters, or of parameters and
-            bench configuration where limits depend on the bench.
+        measurements: declared measurements, or a function that returns them from the parameters, or from
+            parameters and bench configuration if limits depend on the bench.
         plan: steps and trajectories from parameters and bench configuration, for a dry run.
         teardown_s: time limit of each teardown action.
-        bench: profile that it runs on when no bench is named.
-        quick: parameters of its quick form (`hil run NAME --quick`); empty for one that has none.
+        bench: default profile, used when no bench is named.
+        quick: parameters of its quick form (`hil run NAME --quick`); empty if it has none.
         summary: first line of the function's docstring.
-        headline: what a run showed, as a sentence, from its measured values by name; None for none. One
-            that misses a value says nothing.
+        headline: function that makes a sentence about the outcome from the measured values by name; None
+            for none. The sentence is left out if a value is missing.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Procedure:
     headline: Headline | None = None
 
     def declared(self, parameters: Any, config: BenchConfig) -> tuple[Measurement, ...]:
-        """The measurements that these parameters call for on a bench."""
+        """Return the measurements for these parameters on a bench."""
         owner = f"procedure {self.name}"
         if not callable(self.measurements):
             return check_unique(self.measurements, owner)
@@ -99,7 +99,7 @@ class Procedure:
 
     @property
     def file(self) -> Path | None:
-        """Where the function is written; None for what is called and is no function."""
+        """Source file of the function; None for a callable that is not a function."""
         try:
             found = inspect.getsourcefile(inspect.unwrap(self.body))
         except TypeError:
@@ -107,7 +107,7 @@ class Procedure:
         return None if found is None else Path(found).resolve()
 
     def script(self) -> dict[str, str] | None:
-        """Name and SHA-256 of the file that the function is written in; None where there is none to read."""
+        """Return name and SHA-256 of the source file of the function; None without a readable file."""
         file = self.file
         if file is None:
             return None
@@ -120,7 +120,7 @@ class Procedure:
         """Run the function.
 
         Raises:
-            UsageError: it has returned a coroutine or a generator, of which nothing has been run.
+            UsageError: the function returned a coroutine or a generator, whose body has not run.
         """
         returned = self.body(ctx)
         kind = _left_to_run(returned)
@@ -130,7 +130,7 @@ class Procedure:
             raise _never_run(self.name, f"returned {kind}")
 
     def steps(self, parameters: Any, config: BenchConfig) -> tuple[PlannedStep, ...]:
-        """The plan; without one, the titles written in the function's source."""
+        """Return the plan; without a plan, the step titles found in the function's source."""
         if self.plan is not None:
             with of_a_script(f"plan of procedure {self.name}"):
                 return tuple(self.plan(parameters, config))
@@ -141,9 +141,9 @@ class Procedure:
         return tuple(PlannedStep(m["title"]) for m in _STEP_CALL.finditer(source))
 
     def said(self, values: Mapping[str, float]) -> str:
-        """The headline; empty where it misses a value, or one that is no number.
+        """Return the headline; empty if a value is missing or not a number.
 
-        A fault in it must not cost the results.
+        An exception in the headline function is logged, so that the results are not lost.
         """
         known = {name: value for name, value in values.items() if math.isfinite(value)}
         try:
@@ -155,10 +155,10 @@ class Procedure:
             return ""
 
     def settings(self, given: Mapping[str, Any], *, quick: bool) -> dict[str, Any]:
-        """Parameters to run with: those given, over those of the quick form where that is asked for.
+        """Return the parameters of a run: those of the quick form, if `quick`, overridden by the given ones.
 
         Raises:
-            UsageError: it has no quick form.
+            UsageError: the procedure has no quick form.
         """
         if quick and not self.quick:
             raise UsageError(
@@ -167,7 +167,7 @@ class Procedure:
         return {**(self.quick if quick else {}), **given}
 
     def check_needs(self, config: BenchConfig) -> None:
-        """Raise `ConfigError` naming the devices that the bench lacks."""
+        """Raise `ConfigError` that names required devices missing from the bench."""
         missing = [n for n in self.needs if getattr(config, n, None) is None]
         if missing:
             raise ConfigError(
@@ -192,18 +192,18 @@ def procedure(
 
     Args:
         name: small letters, digits, underscores.
-        needs: devices without which it cannot run.
+        needs: devices that it requires.
         parameters: dataclass or pydantic model with defaults.
-        measurements: what it measures, or a function of parameters (and bench configuration) that says so.
+        measurements: declared measurements, or a function of parameters (and bench configuration).
         plan: steps and trajectories, for a dry run.
         teardown_s: time limit of each teardown action, s.
-        bench: profile that it runs on when no bench is named.
+        bench: default profile, used when no bench is named.
         quick: parameters of its quick form.
-        headline: what a run showed, as a sentence, from its measured values by name.
+        headline: function that makes a sentence about the outcome from the measured values by name.
 
     Raises:
-        UsageError: a name or device that does not exist, parameters that are no class of them,
-            measurements that contradict themselves or are none, or what is no plain function.
+        UsageError: invalid name, unknown device, `parameters` is not a class of parameters,
+            `measurements` are contradictory or of a wrong type, or the body is not a plain function.
     """
     if not _NAME.fullmatch(name):
         raise UsageError(f"procedure name {name!r}", expected="lower case letters, digits and _")
@@ -242,7 +242,7 @@ _PLAIN = "a plain function of one argument: def run(ctx)"
 
 
 def _check_body(body: object, name: str) -> None:
-    """Refuse what is no function, and one of which a call runs nothing; raises `UsageError`."""
+    """Raise `UsageError` unless `body` is a plain function: no coroutine or generator function."""
     if not callable(body):
         raise UsageError(f"procedure {name} is a {type(body).__name__}", expected=_PLAIN)
     if inspect.iscoroutinefunction(body):
@@ -252,7 +252,7 @@ def _check_body(body: object, name: str) -> None:
 
 
 def _left_to_run(returned: object) -> str:
-    """What a function has returned instead of having done it, in words; empty for anything else."""
+    """Return the kind of a returned coroutine or generator as text; empty for anything else."""
     if inspect.isawaitable(returned):
         return "something to await"
     return "a generator" if inspect.isgenerator(returned) or inspect.isasyncgen(returned) else ""

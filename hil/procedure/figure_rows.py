@@ -1,4 +1,4 @@
-"""Rows of figures over the time that a run has driven, from bench after bench, never too many."""
+"""Rows of values over the driven time of a run, across all its benches, in limited number."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ _MOST = 4096
 
 
 class DrivenRows:
-    """Rows at equal steps of the time driven; when there are too many, every second one goes.
+    """Rows at equal steps of driven time. When there are too many, every second row is removed.
 
     Args:
-        every_ns: from row to row at first, ns.
+        every_ns: initial step between rows, ns.
 
     Attributes:
-        rows: time driven in s, then the figures.
+        rows: driven time in s, then the values.
     """
 
     def __init__(self, every_ns: int) -> None:
@@ -25,7 +25,7 @@ class DrivenRows:
         self._thin = 1
 
     def begin_anew(self, t_ns: int) -> bool:
-        """Whether the clock has gone back since the last row: another bench, and a row is due at once."""
+        """Whether the clock has gone back since the last row (a new bench); if so, a row is due at once."""
         if t_ns >= self._last_ns:
             return False
         self._next_ns = t_ns
@@ -36,7 +36,7 @@ class DrivenRows:
         return t_ns >= self._next_ns
 
     def add(self, t_ns: int, *figures: float) -> None:
-        """Take a row at this time of the bench; a pause before it counts as two steps at most."""
+        """Add a row at a bench time; a pause before it counts as at most two steps of driven time."""
         step_ns = self._thin * self._every_ns
         self._driven_s += min(max(t_ns - self._last_ns, 0), 2 * step_ns) / NS_PER_S
         self._last_ns, self._next_ns = t_ns, t_ns + step_ns
@@ -44,14 +44,14 @@ class DrivenRows:
         self._thin_out()
 
     def follow(self, later: DrivenRows) -> None:
-        """Put the rows of benches that were driven elsewhere after these."""
+        """Append the rows of benches that were driven in another process."""
         self.rows += [(self._driven_s + t_s, *figures) for t_s, *figures in later.rows]
         self._driven_s += later._driven_s
         self._last_ns = later._last_ns
         self._thin_out()
 
     def interrupt(self, *figures: float) -> None:
-        """Put a row between two benches, where no time is driven."""
+        """Append a row at the current driven time, for example between two benches."""
         self.rows.append((self._driven_s, *figures))
 
     def _thin_out(self) -> None:

@@ -1,4 +1,4 @@
-"""How the benches of a run left the robot: what one did not hold, the next does not make good."""
+"""Records how the benches of a run left the robot: a later hold does not cancel an earlier loss."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LeftBench:
-    """One bench.
+    """How one bench left the robot.
 
     Attributes:
-        name: what it is called.
-        held: how it left the robot.
-        tethered: the robot was on a tether, as for finding where it slides.
+        name: name of the bench.
+        held: its final report on the hold.
+        tethered: the robot was on a tether, for example to find the force at which it slides.
     """
 
     name: str
@@ -31,16 +31,16 @@ class LeftBench:
 
 
 class HoldRecord:
-    """Takes the last word of each bench, and keeps it in the journal.
+    """Collects the final hold report of each bench, and writes it to the journal.
 
     Args:
-        journal: gets a line for each.
-        guard: knows whether the loop ran since a checkpoint was finished.
-        past: what the journal of an interrupted run says of its benches.
-        finished: titles of the checkpoints that are not repeated: what their benches left counts.
+        journal: receives a line for each bench.
+        guard: its driven time shows whether the loop ran since a checkpoint was finished.
+        past: journal entries about the benches of an interrupted run.
+        finished: titles of the checkpoints that are not repeated; only their benches count.
 
     Attributes:
-        opened: how many benches there were.
+        opened: number of benches.
     """
 
     def __init__(
@@ -66,33 +66,33 @@ class HoldRecord:
 
     @property
     def not_held(self) -> list[LeftBench]:
-        """Those that should have held the robot and did not; on a tether only the one closed last."""
+        """Benches that should have held the robot and did not; with a tether only the last closed one."""
         last = self._last
         return self._lost + ([last] if last is not None and last.held.lost and last.tethered else [])
 
     @property
     def held(self) -> Held | None:
-        """Of the first bench that was not held, else of the one that was closed last; None before that."""
+        """Report of the first bench without hold, else of the last closed bench; None if none was closed."""
         worst = next(iter(self.not_held), self._last)
         return None if worst is None else worst.held
 
     def begin(self, label: str = "") -> str:
-        """What to call a bench that is about to be opened."""
+        """Count a bench that is about to be opened; return its name."""
         self.opened, self._finished = self.opened + 1, None
         return f"bench {self.opened}" + (f" ({label})" if label else "")
 
     def enter(self, checkpoint: str) -> None:
-        """A checkpoint has begun."""
+        """Note that a checkpoint has begun."""
         self._checkpoints.append(checkpoint)
 
     def leave(self, *, finished: bool) -> None:
-        """The checkpoint has ended; its bench may stay open."""
+        """Note that the checkpoint has ended; its bench may stay open."""
         title = self._checkpoints.pop()
         if finished:
             self._finished = title, self._guard.driven_ns
 
     def add(self, name: str, held: Held, *, tethered: bool) -> None:
-        """Take a bench's last word; a journal that does not take it must not cost the result it is in."""
+        """Add the final report of a bench; ignore journal errors, since the result also has this report."""
         self._last = bench = LeftBench(name, held, tethered)
         if bench.held.lost and not tethered:
             self._lost.append(bench)
@@ -101,7 +101,7 @@ class HoldRecord:
             self._journal.add("held", {**where, "wanted": held.wanted, **held.to_json()})
 
     def _checkpoint(self) -> str:
-        """To which checkpoint the bench belongs: the last one that ran its loop; empty for none."""
+        """Return the checkpoint of the bench: the last one that ran its loop; empty for none."""
         if self._finished is not None and self._finished[1] == self._guard.driven_ns:
             return self._finished[0]
         return self._checkpoints[-1] if self._checkpoints else ""

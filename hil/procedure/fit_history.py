@@ -1,4 +1,4 @@
-"""How well the sensors fitted the filter during a run: a table of every report of a run by a filter."""
+"""Normalised innovations (NIS) of the sensors during a run: a table in reports of runs with a filter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.core.signals import CycleRecord
 TITLE = "How the sensors fit the estimate"
 HEAD = ("sensor", "mean NIS", "band", "its noise is")
 BAND = (0.5, 2.0)
-"""Mean NIS per row inside which a sensor is as noisy as it is taken for; 1 is ideal."""
+"""Range of the mean NIS per row in which a sensor is as noisy as the filter assumes; 1 is ideal."""
 _SENSORS: Mapping[str, str] = {
     "wheels": "wheels",
     "gyro": "gyro",
@@ -24,7 +24,7 @@ _FEWEST = 100
 
 
 def verdict(nis: float) -> str:
-    """What a mean NIS says of a sensor's noise beside what the estimator takes it for."""
+    """Return how a sensor's noise compares with the noise that the estimator assumes, from its mean NIS."""
     low, high = BAND
     if nis > high:
         return f"larger than taken for: about {nis**0.5:.1f} times"
@@ -32,9 +32,9 @@ def verdict(nis: float) -> str:
 
 
 class FitHistory(Sink):
-    """Takes each sensor's mean NIS while the robot drives by a filter, from bench after bench.
+    """Averages each sensor's NIS while the robot drives with a filter, across all benches of a run.
 
-    The first two seconds of a drive do not count: the running means of the filter begin at 1.
+    The first two seconds of a drive are skipped: the running means of the filter begin at 1.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class FitHistory(Sink):
         self._began_ns = self._last_ns = -_GAP_NS
 
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Add the NIS values of one record."""
         if record.reference is None:
             return
         t_ns, figures = record.inputs.t_ns, record.state.diagnostics
@@ -58,19 +58,19 @@ class FitHistory(Sink):
                 self._sums[name] = before + nis, count + 1
 
     def follow(self, later: FitHistory) -> None:
-        """Take what was driven elsewhere as driven after all this."""
+        """Add the values of benches that were driven in another process."""
         for name, (nis, count) in later._sums.items():
             before, counted = self._sums.get(name, (0.0, 0))
             self._sums[name] = before + nis, counted + count
 
     def close(self) -> None:
-        """Nothing to let go of; the next bench goes on."""
+        """Do nothing; the next bench continues the history."""
 
     def means(self) -> dict[str, float]:
-        """Mean NIS per row by sensor; none of one that was hardly heard."""
+        """Return the mean NIS per row by sensor, without sensors that have too few samples."""
         return {name: total / count for name, (total, count) in self._sums.items() if count >= _FEWEST}
 
     def rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Rows of the table, in words; none where no filter drove."""
+        """Return the rows of the table as text; none if no filter was used."""
         for name, nis in self.means().items():
             yield _SENSORS[name], f"{nis:.2f}", f"{BAND[0]:g} to {BAND[1]:g}", verdict(nis)

@@ -1,4 +1,4 @@
-"""How firmly the robot was pressed on its wall during a run: a figure of every procedure's report."""
+"""Holding force of the robot on its wall during a run: a figure of every procedure's report."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ CAPTION = (
 
 
 class HoldHistory(Sink):
-    """Takes force, need and the most friction in use, ten times a second, from bench after bench."""
+    """Collects force, needed force and highest friction use, ten times a second, across all benches."""
 
     def __init__(self) -> None:
         self._driven = DrivenRows(_EVERY_NS)
 
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Add one record."""
         figures, t_ns = record.state.diagnostics, record.inputs.t_ns
         self._driven.begin_anew(t_ns)
         if not self._driven.is_due(t_ns) or "adhesion_n" not in figures:
@@ -36,14 +36,14 @@ class HoldHistory(Sink):
         self._driven.add(t_ns, figures["adhesion_n"], figures["adhesion_needed_n"], used)
 
     def follow(self, later: HoldHistory) -> None:
-        """Take what was driven elsewhere as driven after all this."""
+        """Append the history of benches that were driven in another process."""
         self._driven.follow(later._driven)
 
     def close(self) -> None:
-        """Nothing to let go of; the next bench goes on."""
+        """Do nothing; the next bench continues the history."""
 
     def figure(self) -> Figure | None:
-        """Force and need, and friction in use, over the time driven; None without a measurement."""
+        """Draw force, needed force and friction use over driven time; None without a measurement."""
         from hil.report.plot_style import SERIES, legend, new_figure, style
 
         if len(self._driven.rows) < 2:

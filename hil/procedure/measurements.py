@@ -1,6 +1,6 @@
-"""What a procedure measures, within which limits, and what a value is worth: pass or fail as data.
+"""Declares what a procedure measures and within which limits, and judges the values.
 
-Limits are declared before anything is measured. A declared measurement that was never set fails.
+Limits are declared before anything is measured. A declared measurement that is never set fails.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class Measurement:
 
     Attributes:
         name: short word or path, unique in the procedure.
-        unit: SI or the unit in which people read it; `1` for ratios, counts and yes/no.
-        low, high: limits, both inclusive; None where there is none.
+        unit: SI or the usual unit; `1` for ratios, counts and yes/no.
+        low, high: limits, both inclusive; None for no limit.
         marginal: width of the band inside a limit in which a value passes as MARGINAL, in `unit`.
-        rationale: why these limits.
+        rationale: reason for the limits.
 
     Raises:
-        UsageError: a limit that is no number or has no unit, limits that no value can meet, or a band that is
-            wider than them.
+        UsageError: a limit is not a number or has no unit, no value can meet the limits, or the band is wider
+            than the limits allow.
     """
 
     name: str
@@ -73,17 +73,17 @@ class Measurement:
 
     @property
     def limited(self) -> bool:
-        """Whether it decides anything; one without limits is only reported."""
+        """Whether the measurement has limits; one without limits is only reported."""
         return self.low is not None or self.high is not None
 
     def declared(self) -> dict[str, Any]:
-        """Name, unit and limits, as JSON has them."""
+        """Return name, unit and limits as a JSON object."""
         limits = {"low": self.low, "high": self.high, "marginal": self.marginal}
         numbers = {key: None if value is None else float(value) for key, value in limits.items()}
         return {"name": self.name, "unit": self.unit, **numbers}
 
     def margin(self, value: float) -> float:
-        """Distance to the nearest limit, positive inside; infinite without limits, NaN for NaN."""
+        """Return the distance to the nearest limit, positive inside; infinite without limits, NaN for NaN."""
         sides = [math.inf]
         if self.low is not None:
             sides.append(value - self.low)
@@ -92,7 +92,7 @@ class Measurement:
         return math.nan if math.isnan(value) else min(sides)
 
     def judge(self, value: float | None) -> Verdict:
-        """What a value is worth; None stands for never set."""
+        """Return the verdict on a value; None means never set."""
         if value is None or not math.isfinite(value):
             return Verdict.FAIL
         margin = self.margin(value)
@@ -102,7 +102,7 @@ class Measurement:
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
-    """The verdict of a run from those of its measurements; PASS when there are none."""
+    """Return the worst of the verdicts; PASS if there are none."""
     order = list(Verdict)
     return max(verdicts, key=order.index, default=Verdict.PASS)
 
@@ -111,14 +111,14 @@ _SEVERAL = "a list of Measurement(NAME, UNIT, ...)"
 
 
 def check_unique(measurements: Iterable[Measurement], owner: str) -> tuple[Measurement, ...]:
-    """The measurements as a tuple.
+    """Return the measurements as a tuple, after a check of types and names.
 
     Args:
-        measurements: as they were declared.
-        owner: what declares them, for the error.
+        measurements: declared measurements.
+        owner: procedure that declares them, for error messages.
 
     Raises:
-        UsageError: a name declared twice, or what is no measurement.
+        UsageError: a name is declared twice, or an item is not a `Measurement`.
     """
     given: object = measurements
     if not isinstance(given, Iterable) or isinstance(given, (str, Mapping)):

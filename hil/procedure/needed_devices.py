@@ -1,4 +1,4 @@
-"""Which devices a run looks at: the others are left out of the bench, missing ones are named."""
+"""Selects the devices that a run uses: leaves the others out of the bench, reports missing ones."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def _known(name: str) -> str:
 
 
 Device = Annotated[str, AfterValidator(_known)]
-"""Name of a kind of device, or of a further device of one."""
+"""Name of a kind of device, or of an additional device of a kind."""
 
 
 def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
-    """Bench overrides that leave out all other devices, but for those that the robot's hold depends on.
+    """Return bench overrides that leave out all other devices, except those that hold the robot or guard it.
 
     Raises:
-        ConfigError: the bench lacks one that is wanted.
+        ConfigError: the bench lacks a wanted device.
     """
     config = ctx.source.config
     lacking = [name for name in wanted if name not in config.devices()]
@@ -41,12 +41,12 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
 
 
 def with_own_devices(model: type[Any], given: Mapping[str, Any], config: BenchConfig) -> dict[str, Any]:
-    """Parameters as given; where they name no devices to look at, those of the bench.
+    """Return the given parameters; without `devices`, use the default devices that the bench has.
 
     Args:
-        model: class of the parameters; its `devices`, if their default names kinds of devices, are meant.
+        model: class of the parameters; only changed if the default of `devices` names kinds of devices.
         given: parameters by name.
-        config: of the bench.
+        config: configuration of the bench.
     """
     field = getattr(model, "model_fields", {}).get("devices")
     default = getattr(field, "default", None)
@@ -56,7 +56,7 @@ def with_own_devices(model: type[Any], given: Mapping[str, Any], config: BenchCo
 
 
 def leaving(wanted: Sequence[str], among: Iterable[str]) -> dict[str, object]:
-    """Bench overrides that leave out the kinds `among` these, but for the wanted and those that hold."""
+    """Return bench overrides that remove the kinds `among`, except wanted ones and those for the hold."""
     known = kinds()
     return {
         name: None

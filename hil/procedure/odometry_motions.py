@@ -1,4 +1,4 @@
-"""The motions of an odometry calibration: how a bench drives them and keeps each as a plain CSV."""
+"""The motions of an odometry calibration: drives them on a bench and saves each as a CSV file."""
 
 from __future__ import annotations
 
@@ -42,23 +42,23 @@ MOTIONS: tuple[MotionName, ...] = (
     "rotation_cw",
 )
 OTHER_MOTIONS = ("diagonal", "arc_ccw", "arc_cw")
-"""Of use to see whether a calibration holds for what it was not made with."""
+"""Motions to validate a calibration with data that it was not fitted to."""
 _SETTLE_S = 0.2
 _APPROACH_RAD = 0.1
 _FOLD_RAD = math.radians(5.0)
 _ACCELERATION_M_S2 = 0.19
 _SLOWED_AT_MOST = 1.1
-"""A robot whose wheels stand further out than on paper, or seem to, turns so many times as slowly at most."""
+"""Largest factor by which a turn is slowed down if fitted wheels stand further out than in the drawing."""
 
 
 def unused() -> dict[str, object]:
-    """Bench overrides that leave out what calibration does not look at."""
+    """Return bench overrides that leave out devices which calibration does not use."""
     return leaving(("servos", "mocap"), KINDS)
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How large the motions are, and how fast (peak wheel speed)."""
+    """Size of the motions, and peak wheel speed."""
 
     line_m: float = 2.5
     radius_m: float = 0.5
@@ -68,12 +68,12 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Repetition:
-    """Motions that are driven one after the other in one world.
+    """Motions that are driven in sequence in one world.
 
     Attributes:
-        folder: where `MOTION_K.csv` are written.
+        folder: folder of the files `MOTION_K.csv`.
         number: K, counted from 1 over all rounds.
-        part: of a repetition that is driven in several worlds, counted from 0.
+        part: index from 0, if a repetition is split over several worlds.
     """
 
     folder: Path
@@ -85,20 +85,20 @@ class Repetition:
     part: int = 0
 
     def file(self, motion: str) -> str:
-        """Name of a motion's recording in the folder."""
+        """Return the file name of a motion's recording."""
         return f"{motion}_{self.number}.csv"
 
     def halves(self) -> list[Repetition]:
-        """The same motions for two worlds, so that two processes share any number of repetitions evenly.
+        """Split the motions over two worlds, so that two processes share any number of repetitions evenly.
 
-        Every other motion goes to the first: both get one of each pair that differs by its sense only.
+        Motions alternate between the parts: each part gets one of every pair that differs only in direction.
         """
         found = (self.motions[::2], self.motions[1::2])
         return [replace(self, motions=motions, part=k) for k, motions in enumerate(found) if motions]
 
 
 def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = False) -> Trajectory:
-    """One of the motions from where the robot stands, `start` (3,) m, m, rad; a line may go backwards."""
+    """Return a motion that begins at pose `start` (3,) m, m, rad; a line may be driven backwards."""
     pose = np.asarray(start, dtype=np.float64)
     sense = 1.0 if name.endswith("_ccw") else -1.0
     limits: dict[str, Any] = {"speed_m_s": sizes.speed_m_s, "acceleration_m_s2": _ACCELERATION_M_S2}
@@ -127,10 +127,10 @@ def followed(
     *,
     backwards: bool = False,
 ) -> Trajectory:
-    """`reference` from `start` (3,) as a robot of this geometry can drive it: a little slower where need be.
+    """Return `reference` from `start` (3,), slowed down slightly if this wheel geometry requires it.
 
-    A fit may set the wheels further out than the drawing does, so that a turn wants more of them. A speed
-    that the configuration does not allow at all stays as it was asked for, and is refused.
+    A fit may place the wheels further out than the drawing, so that a turn needs faster wheels. A speed
+    that the configuration does not allow at all is not reduced, and is rejected later.
     """
     path, limits = reference(name, start, sizes, backwards=backwards), motion_limits(config)
     if sizes.speed_m_s > limits.wheel_speed_m_s:
@@ -157,13 +157,13 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> None:
 
 
 def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:
-    """Turn every wheel to where a motion from `pose` (3,) needs it, the last part always from one side.
+    """Steer every wheel to the start angle of a motion from `pose` (3,), always from the same side.
 
-    A wheel may stand anywhere in the backlash of its gear. Left to chance, an eighth of a degree between
-    front and rear turns the robot by degrees on a few metres, and differently in every round.
+    Otherwise a wheel may stand anywhere in the backlash of its gear. A random difference of an eighth of a
+    degree between front and rear turns the robot by degrees over a few metres, differently in every round.
 
     Raises:
-        DataError: a servo has not answered.
+        DataError: a servo did not answer.
     """
     standing = bench.observe(_SETTLE_S, feedback="odometry", start_pose=pose).wheels[:, 4:]
     now = standing[np.all(np.isfinite(standing), axis=1)]
@@ -176,10 +176,10 @@ def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:
 
 
 def recording_of(motion: Motion, name: str, group: str) -> Recording:
-    """A driven motion as a calibration recording: wheels and ground truth on the bench clock.
+    """Convert a driven motion to a calibration recording: wheels and ground truth on the bench clock.
 
     Raises:
-        DataError: no usable wheels, no ground truth, or none for a part of the drive.
+        DataError: no usable wheel data, no ground truth, or no ground truth for a part of the drive.
     """
     origin_ns = motion.records[0].inputs.t_ns
     wheels = [w for r in motion.records for w in r.measurements.wheels if all(w.valid)]

@@ -1,7 +1,7 @@
-"""Questions to the person at the bench: asked at the terminal, or answered from a file or by another program.
+"""Questions to the operator: asked at the terminal, or answered from a file or by another program.
 
 The file holds one answer per line in the order of the questions, or `text of the question: answer`.
-Empty lines and lines that start with `#` are left out. With a file every procedure runs unattended.
+Empty lines and lines that start with `#` are skipped. With a file every procedure runs unattended.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ _EXPECTED = "Enter (an empty line), y, yes or ok to go on; no or stop to end it"
 
 
 def tell(text: str) -> None:
-    """A line for the operator, beside the results on stdout."""
+    """Print a line for the operator on stderr; stdout is for results."""
     print(f"hil: {text}", file=sys.stderr, flush=True)
 
 
 class Operator(Protocol):
-    """The person at the bench, or what answers in their place."""
+    """The person at the bench, or a substitute that answers questions."""
 
     @abstractmethod
     def ask(self, question: str) -> str:
-        """The answer; raises `Aborted` when there is none."""
+        """Return the answer; raises `Aborted` without one."""
 
 
 class Terminal(Operator):
@@ -51,7 +51,7 @@ class Terminal(Operator):
 
 
 class Lines(Operator):
-    """Hands questions to a program, which writes one line to stdin for each.
+    """Passes questions to a program, which writes one line to stdin for each.
 
     Args:
         tell: receives `("question", text)`, and `("answered", text of the answer)`.
@@ -88,7 +88,7 @@ class Answers(Operator):
         self._lines = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 
     def ask(self, question: str) -> str:
-        """The line that names the question, else the next one; `Aborted` when none is left."""
+        """Return the line that names the question, else the next one; raises `Aborted` if none is left."""
         for number, line in enumerate(self._lines):
             if line.startswith(question) and line[len(question) :].lstrip().startswith(":"):
                 del self._lines[number]
@@ -99,14 +99,14 @@ class Answers(Operator):
 
 
 def go_ahead(operator: Operator, question: str) -> str:
-    """The answer to a request to do something and then press Enter, once it means that it is done.
+    """Ask the operator to do something and press Enter, until the answer confirms it; return the answer.
 
     Args:
-        operator: who answers.
-        question: what to do, and that Enter goes on.
+        operator: answers the question.
+        question: what to do, and to press Enter then.
 
     Raises:
-        Aborted: the answer is no, or one from a file means neither; or there is none.
+        Aborted: the answer is no or missing, or an answer from a file is neither yes nor no.
     """
     answer = operator.ask(question)
     while (word := answer.strip().lower()) not in _YES:

@@ -1,4 +1,4 @@
-"""Benches that a run drives in worker processes: recorded and held as the run's own is."""
+"""Drives benches of a run in worker processes; they are recorded and held like the run's own bench."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class DriveJob(Generic[Result]):
-    """A bench that is to be driven in another process.
+    """A bench to drive in another process.
 
     Attributes:
-        source: opened for it, and closed afterwards.
-        drive: called with the bench there. It and what it returns must be fit to be sent between processes.
-        label: names the recording, `recording_LABEL.mcap`; empty where none is wanted.
+        source: describes the bench, which is opened for this job and closed afterwards.
+        drive: called with the open bench. The function and its result must be picklable.
+        label: names the recording, `recording_LABEL.mcap`; empty for no recording.
     """
 
     source: BenchSource
@@ -40,12 +40,12 @@ class DriveJob(Generic[Result]):
 
 @dataclass(frozen=True)
 class Sent(Generic[Result]):
-    """An errand with what the run has decided for it.
+    """A drive job with settings of the run.
 
     Attributes:
-        errand: what to drive.
+        errand: the drive job.
         recording: file to write; None for none.
-        on_failure: what a disk that takes no more means.
+        on_failure: whether a full disk stops the run.
     """
 
     errand: DriveJob[Result]
@@ -55,19 +55,19 @@ class Sent(Generic[Result]):
 
 @dataclass(frozen=True)
 class Driven:
-    """What came of an errand.
+    """Outcome of a drive job.
 
     Attributes:
         result: what `drive` returned; None after an error.
-        error: what ended the drive early.
-        driven_s: how long it took on the bench's clock, s.
-        pressed: as of the bench.
-        held: how the bench left the robot.
-        tethered: the robot was on a tether.
-        world_ns, looked_ns, failed: as `world_ns`, `looked_ns` and `lost` of the bench.
-        hold, path, fit: what the figures and the last table of every report are made from.
-        lost: why there is no recording, or only a part of it; empty if it is whole or none was wanted.
-        objection: what the run has to end with for it.
+        error: error that ended the drive early.
+        driven_s: duration on the bench's clock, s.
+        pressed: same as `pressed` of the bench.
+        held: final report of the bench on the hold of the robot.
+        tethered: whether the robot was on a tether.
+        world_ns, looked_ns, failed: same as `world_ns`, `looked_ns` and `lost` of the bench.
+        hold, path, fit: histories for the figures and the last table of every report.
+        lost: why the recording is missing or incomplete; empty if it is complete or was not wanted.
+        objection: recording error with which the run has to end; None for none.
     """
 
     result: Any
@@ -87,13 +87,13 @@ class Driven:
 
 
 def driven(sent: Sent[Any]) -> Driven:
-    """Drive a bench in this process; an error of the bench comes back as part of the answer.
+    """Drive a bench in this process; an error of the bench is returned in the outcome.
 
     Args:
-        sent: what to drive, and where it is recorded.
+        sent: drive job and file of the recording.
 
     Raises:
-        Exception: whatever is no error of the bench, a mistake in `drive` for one.
+        Exception: any error that is not a `HilError`, for example a mistake in `drive`.
     """
     bench = sent.errand.source.open()
     bench.warns_not_held = False
@@ -144,7 +144,7 @@ def driven(sent: Sent[Any]) -> Driven:
 
 
 def _recorder(sent: Sent[Any], bench: Bench) -> tuple[McapRecorder | None, str]:
-    """The recorder; or None and why a run that may go on without has none."""
+    """Return the recorder; or None and the reason, if the run may continue without a recording."""
     if sent.recording is None:
         return None, ""
     try:

@@ -1,4 +1,4 @@
-"""Parameters of a procedure from `--set key=value`: typed, every problem named at once."""
+"""Converts `--set key=value` to typed parameters of a procedure; reports all problems at once."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from hil.support.file_reading import json_value
 BENCH_PREFIX = "bench."
 
 _adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
-"""Of a class of parameters, made once: it takes milliseconds."""
+"""Cached pydantic adapter of a parameter class: it takes milliseconds to make."""
 
 
 def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, object]]:
-    """`key=value` texts as parameters and, for keys that start with `bench.`, as bench overrides.
+    """Split `key=value` texts into parameters and, for keys that start with `bench.`, bench overrides.
 
     Raises:
-        UsageError: a text without `=`, or a name of nothing (`bench.`).
+        UsageError: a text without `=`, or a key without a name (`bench.`).
     """
     parameters: dict[str, str] = {}
     bench: dict[str, object] = {}
@@ -48,15 +48,15 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, o
 
 
 def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> Any:
-    """An instance of the parameter model.
+    """Return an instance of the parameter model.
 
     Args:
         model: dataclass or pydantic model.
         values: texts (converted by the field's type; sequences may be written `a,b`) or typed values.
-        owner: procedure, for messages.
+        owner: name of the procedure, for error messages.
 
     Raises:
-        ConfigError: unknown keys and unfit values, all of them.
+        ConfigError: lists all unknown keys and invalid values.
     """
     hints = field_types(model)
     problems = []
@@ -83,7 +83,7 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
 
 
 def field_types(model: type[Any]) -> dict[str, Any]:
-    """Names and types of a parameter model's fields."""
+    """Return names and types of a parameter model's fields."""
     if issubclass(model, BaseModel):
         return {name: field.annotation for name, field in model.model_fields.items()}
     hints = get_type_hints(model)
@@ -91,10 +91,10 @@ def field_types(model: type[Any]) -> dict[str, Any]:
 
 
 def check_model(model: object, owner: str) -> None:
-    """Refuse what is declared as parameters and is no class of them.
+    """Check that declared parameters are a dataclass or a pydantic model.
 
     Raises:
-        UsageError: it is neither a dataclass nor a pydantic model.
+        UsageError: `model` is neither a dataclass nor a pydantic model.
     """
     if not isinstance(model, type) or not (issubclass(model, BaseModel) or dataclasses.is_dataclass(model)):
         shown = model.__name__ if isinstance(model, type) else f"a {type(model).__name__}"
@@ -106,13 +106,13 @@ def check_model(model: object, owner: str) -> None:
 
 
 def as_dict(parameters: Any) -> dict[str, Any]:
-    """Parameters as JSON values."""
+    """Return parameters as JSON values."""
     found = _adapter(type(parameters)).dump_python(parameters, mode="json")
     return dict(found)
 
 
 def _finite(value: Any) -> bool:
-    """Whether a value, or everything in it, is finite as far as it is a number."""
+    """Whether all numbers in a value are finite."""
     if isinstance(value, float):
         return math.isfinite(value)
     if isinstance(value, Mapping):
@@ -142,15 +142,15 @@ def _plain(text: str) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class Described:
-    """What is to be known of a parameter before it is given.
+    """Description of a parameter for the user.
 
     Attributes:
         name: its key.
         kind: JSON type of its value: `boolean`, `integer`, `number`, `string`, `array`.
-        default: as it would be written after `--set`.
-        low, high: limits, where it has any; `low_open` if `low` itself is not allowed.
-        choices: values that it, or each of a list, may have; empty for any.
-        help: a sentence, where its author wrote one.
+        default: default value in the notation of `--set`.
+        low, high: limits, if any; `low_open` if `low` itself is not allowed.
+        choices: allowed values of the parameter, or of each list item; empty for any.
+        help: description by its author; empty for none.
     """
 
     name: str
@@ -164,7 +164,7 @@ class Described:
 
 
 def described(model: type[Any]) -> tuple[Described, ...]:
-    """The parameters of a model (dataclass or pydantic model), in its order."""
+    """Describe the parameters of a model (dataclass or pydantic model), in its order."""
     names = field_types(model)
     properties = TypeAdapter(model).json_schema().get("properties", {})
     defaults = as_dict(model())
@@ -189,7 +189,7 @@ def _described(name: str, schema: Mapping[str, Any], default: Any) -> Described:
 
 
 def written(value: Any) -> str:
-    """A value as `--set` takes it."""
+    """Return a value in the notation of `--set`."""
     if value is None or isinstance(value, str):
         return value or ""
     if isinstance(value, (list, tuple)) and all(isinstance(v, (str, int, float)) for v in value):

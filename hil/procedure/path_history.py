@@ -1,4 +1,4 @@
-"""Where a run drove the robot: a figure of every procedure's report that draws none of its own."""
+"""Paths of the robot during a run: a figure in reports of procedures that draw no figures."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ CAPTION = (
 
 
 class PathHistory(Sink):
-    """Takes reference, estimate and true position, twenty times a second, from bench after bench.
+    """Collects reference, estimate and true position, twenty times a second, across all benches of a run.
 
-    The true position is the emulated robot's own where this process knows it, else that of motion capture.
+    The true position is that of the emulated robot if it lives in this process, else of motion capture.
     """
 
     def __init__(self) -> None:
         self._driven = DrivenRows(_EVERY_NS)
 
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Add one record."""
         t_ns = record.inputs.t_ns
         if self._driven.begin_anew(t_ns):
             self._driven.interrupt(*_NOWHERE, *_NOWHERE, *_NOWHERE)
@@ -46,15 +46,15 @@ class PathHistory(Sink):
         self._driven.add(t_ns, *reference, *estimate, *_true_position(record))
 
     def follow(self, later: PathHistory) -> None:
-        """Take what was driven elsewhere as driven after all this."""
+        """Append the history of benches that were driven in another process."""
         self._driven.interrupt(*_NOWHERE, *_NOWHERE, *_NOWHERE)
         self._driven.follow(later._driven)
 
     def close(self) -> None:
-        """Nothing to let go of; the next bench goes on."""
+        """Do nothing; the next bench continues the history."""
 
     def figure(self) -> Figure | None:
-        """Paths in the wall, and their distances over the time driven; None where nothing was driven."""
+        """Draw the paths in the wall plane, and their distances over driven time; None without a drive."""
         from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
         if len(self._driven.rows) < 2:

@@ -21,11 +21,11 @@ from hil.support.script_file import run_file
 
 SHIPPED = "hil.procedures"
 SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
-"""Where they lie: in a checkout the top-level folder `procedures/`, to which `hil/procedures` is a link."""
+"""Folder of the shipped procedures: in a checkout `procedures/`, to which `hil/procedures` is a link."""
 
 
 def shipped_names() -> tuple[str, ...]:
-    """Names of the procedures that come with the package: scripts, and folders with their parts."""
+    """Return the names of the shipped procedures: scripts, and packages."""
     return tuple(sorted(m.name for m in pkgutil.iter_modules([str(SHIPPED_FOLDER)])))
 
 
@@ -34,17 +34,17 @@ def _shipped(name: str) -> ModuleType:
 
 
 def file_and_name(script: str) -> tuple[str, str]:
-    """The file of a script, and of `mine.py:name` the name of the procedure in it, else nothing."""
+    """Split `mine.py:name` into file and procedure name; the name is empty if not given."""
     file, _, name = script.partition(".py:")
     return (f"{file}.py", name) if name else (script, "")
 
 
 def load_procedure(script: str) -> Procedure:
-    """The procedure of a file (`path/to/mine.py`, `mine.py:name` for one of several) or of a name.
+    """Load a procedure from a file (`path/to/mine.py`, `mine.py:name` for one of several) or by its name.
 
     Raises:
-        ConfigError: no such file or name, a script that fails, or not exactly one procedure in it.
-        UsageError: no file can have that name.
+        ConfigError: no such file or name, the script fails, or it does not hold exactly one procedure.
+        UsageError: the text is not a valid file name.
     """
     target, wanted = file_and_name(script)
     path = Path(target)
@@ -67,7 +67,7 @@ def _known() -> str:
 
 
 def _near(target: str) -> str:
-    """What was probably meant: a shipped procedure, or a script where one was looked for."""
+    """Return a suggestion: a shipped procedure, or a script in the folder that was searched."""
     folder = Path(target).parent
     with suppress(OSError):
         scripts = [str(folder / found.name) for found in folder.glob("*.py") if found.is_file()]
@@ -79,17 +79,17 @@ def _from_file(path: Path) -> ModuleType:
     found = path.resolve()
     if found.parent == SHIPPED_FOLDER:
         return _shipped(found.stem)
-    if found.parent.parent == SHIPPED_FOLDER:  # of a procedure that is a folder
+    if found.parent.parent == SHIPPED_FOLDER:  # a part of a procedure that is a package
         return _shipped(found.parent.name)
-    kinds()  # a device package that cannot be used is not the script's fault
+    kinds()  # fail here if a device package cannot be used, so that the script is not reported
     return run_file(path)
 
 
-_real = lru_cache(maxsize=None)(os.path.realpath)  # thousands of modules, looked through more than once
+_real = lru_cache(maxsize=None)(os.path.realpath)  # called repeatedly for thousands of modules
 
 
 def modules_beside(script: Path) -> tuple[Path, ...]:
-    """Files and folders beside a script from which modules have been imported; no installed ones."""
+    """Return files and folders beside a script from which modules were imported; no installed packages."""
     itself, package = script.resolve(), Path(hil.__file__).resolve().parent
     folder, found = itself.parent, set()
     installed = [Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve(), package, SHIPPED_FOLDER]

@@ -1,8 +1,8 @@
-"""What a procedure found out about the robot: a part of its record, kept there once the run has passed.
+"""Stores results of a procedure as a part of the robot's record, once the run has passed.
 
-Each part is also left as a file of its own, `part_NAME.toml`, once the run has ended, so that a bench
-without a record can take it later (`hil robot apply RECORD --from part_camera.toml`). It says of which robot
-it is and how the run ended, and so does `bench_fragment.toml`.
+After the run each part is also written to a separate file, `part_NAME.toml`, so that a bench without a
+record can apply it later (`hil robot apply RECORD --from part_camera.toml`). This file and
+`bench_fragment.toml` name the robot and the verdict of the run.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ def leave_part(
     covariance: Spread | None = None,
     surface: str = "",
 ) -> None:
-    """Leave a part of the robot's record; it gets there when the run passes. Values must be finite.
+    """Add a part for the robot's record; it is stored if the run passes. Values must be finite.
 
     Args:
-        ctx: of the run.
-        name: of the part (`hil.config.robot_record.PARTS`).
+        ctx: context of the run.
+        name: name of the part (`hil.config.robot_record.PARTS`).
         values: dotted keys of the bench file -> value.
         figures: measured numbers by name.
-        files: paths of files that the bench file is to name, by key.
-        covariance: of some of the figures.
-        surface: that it holds for; empty for everywhere.
+        files: key of the bench file -> path of the file to store.
+        covariance: covariance of some of the figures.
+        surface: surface for which the part is valid; empty for all.
     """
     config = ctx.source.config
     part = Part(
@@ -66,7 +66,7 @@ def leave_part(
 
 
 def _write_part(ctx: Context, name: str, one: NewPart, verdict: Verdict) -> None:
-    """The part as a file of its own."""
+    """Write the part to a separate file and attach it."""
     tree = one.part.model_dump(mode="json", exclude_none=True, exclude={"files", "made_with"})
     tree["values"] |= {key: str(path.relative_to(ctx.folder)) for key, path in one.files.items()}
     robot = identity(ctx.source.config, ctx.source.seed).model_dump(mode="json", exclude_none=True)
@@ -80,12 +80,12 @@ def _until(started: str, days: int | None) -> str:
 
 
 def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, HilError | None]:
-    """Put what a run has left into the record of its bench, if it passed, and into files of its folder.
+    """Write the parts of a run to files in its folder and, if the run passed, to the record of its bench.
 
     Returns:
-        For `result.json`: folder, version and names of the parts that are new, and of those that went because
-        they were measured on top of what is new; None without a record or anything to keep. And the error, if
-        the record does not take it: the version that was in place stays.
+        For `result.json`: folder, version, names of the new parts, and of the parts that were removed because
+        they depend on replaced parts; None without a record or new parts. And the error, if the record cannot
+        be written: its current version then stays.
     """
     config, learned = ctx.source.config, ctx.findings.learned
     ended = verdict in (*PASSED, Verdict.FAIL)

@@ -1,4 +1,4 @@
-"""The result of a run as files: `result.json` (schema 1) and JUnit XML."""
+"""Writes the result of a run to files: `result.json` (schema 1) and JUnit XML."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from hil.support.atomic_files import put_whole
 from hil.support.file_reading import printable
 
 KEEPING = "keeping the results"
-"""Step named by the error of a result that could not be written."""
+"""Step name of the error that is reported if the result could not be written."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """What went wrong, and where.
+    """An error and the step in which it occurred.
 
     Attributes:
         kind: name of the error.
-        message: what it says.
-        step: in which step, or after which.
-        exit_code: that it asks for.
-        finished: that step was finished: the run ended between it and the next.
-        frames: the call chain through the user's own code, as `hil.core.call_chain.as_json` has it.
+        message: text of the error.
+        step: step in which, or after which, it occurred.
+        exit_code: exit code for this error.
+        finished: whether the step was finished: the run ended between this step and the next.
+        frames: call chain through the user's code, as `hil.core.call_chain.as_json` returns it.
     """
 
     kind: str
@@ -44,7 +44,7 @@ class Failure:
     frames: tuple[Mapping[str, Any], ...] = ()
 
     def to_json(self) -> dict[str, object]:
-        """As in `result.json`."""
+        """Return the entry of `result.json`."""
         return {
             "type": self.kind,
             "message": self.message,
@@ -55,17 +55,17 @@ class Failure:
 
     @property
     def place(self) -> str:
-        """Where it ended, for people: `in 'scan'`, `after 'scan'`."""
+        """The place of the error as text: `in 'scan'`, `after 'scan'`."""
         return f"{'after' if self.finished else 'in'} {self.step!r}"
 
 
 @dataclass(frozen=True)
 class Result:
-    """Everything about one run.
+    """The result of one run.
 
     Attributes:
         error: the first error; later ones are in `teardown_errors`.
-        measurements: rows as in `result.json`.
+        measurements: rows of `result.json`.
         facts: further keys of `result.json`.
     """
 
@@ -79,7 +79,7 @@ class Result:
 
     @property
     def exit_code(self) -> int:
-        """0 pass, 1 a limit failed, 2 usage, 3 device, 4 aborted."""
+        """Exit code: 0 pass, 1 a limit failed, 2 usage, 3 device, 4 aborted."""
         if self.verdict is Verdict.ABORTED:
             return EXIT_ABORTED
         if self.verdict is Verdict.ERROR:
@@ -88,7 +88,7 @@ class Result:
         return EXIT_LIMIT_FAILED if self.verdict is Verdict.FAIL else EXIT_PASS
 
     def to_json(self) -> dict[str, Any]:
-        """Keys may be added, never renamed."""
+        """Return the content of `result.json`; keys may be added, never renamed."""
         from hil.report.run_summary import sentence
 
         found: dict[str, Any] = {
@@ -112,14 +112,14 @@ def judge(
     measured_in: Mapping[str, str],
     ended: bool,
 ) -> list[dict[str, Any]]:
-    """Rows of the measurement table.
+    """Return the rows of the measurement table.
 
     Args:
-        declared: in their order.
-        values: what was set.
-        earlier: what the same was set to before; only where there is any, the row has it.
-        measured_in: step in which it was set.
-        ended: whether the procedure ran to its end; if so, what was never set fails.
+        declared: declared measurements, in order.
+        values: measured values by name.
+        earlier: earlier values by name; a row without earlier values has no such key.
+        measured_in: step of each measurement.
+        ended: whether the procedure reached its end; if so, a measurement that was never set fails.
     """
     rows = []
     for m in declared:
@@ -161,9 +161,9 @@ def write_result(result: Result) -> Path:
 
 
 def junit(tree: Mapping[str, Any]) -> str:
-    """JUnit XML of a result: one test case per measurement, one for the run itself.
+    """Return JUnit XML of a result: one test case per measurement, one for the run itself.
 
-    Characters that XML cannot hold, or that no text has, are escaped.
+    Characters that are invalid in XML, or lone surrogates, are escaped.
     """
     name = tree["procedure"]
     rows = tree["measurements"]
@@ -229,7 +229,7 @@ def _finite(value: Any) -> Any:
 
 
 def git_revision(folder: Path) -> str | None:
-    """Commit of the checkout that holds `folder`, with `+` when files differ from it; None without one."""
+    """Return the commit of the checkout of `folder`, with `+` if files differ from it; None without one."""
     try:
         head, changed = (
             subprocess.run(

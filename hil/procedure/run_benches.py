@@ -1,6 +1,6 @@
-"""The benches of a run: opened in turn or in other processes, recorded, and how they left the robot.
+"""The benches of a run: opens them in turn or in other processes, records them and their final hold.
 
-Recordings: where each is written, how it becomes known, and what is missing from it.
+`Recordings` selects the files, lists them in the results, and reports incomplete ones.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Recordings:
     """All recordings of one run.
 
     Args:
-        results: takes the recordings that begin, and what is missing from one.
-        interrupts: held off while a record is written.
-        on_failure: as in the attribute.
+        results: receives names of recordings, and notes on incomplete ones.
+        interrupts: signals, deferred while a record is written.
+        on_failure: see the attribute.
 
     Attributes:
-        on_failure: what a disk that takes no more means for the run.
+        on_failure: whether a full disk stops the run.
     """
 
     def __init__(self, results: RunOutputs, interrupts: Interrupts, on_failure: OnFailure) -> None:
@@ -48,7 +48,7 @@ class Recordings:
         self._objections: list[RecordingError] = []
 
     def path(self, label: str, taken: Sequence[Path | None] = ()) -> Path | None:
-        """Where the recording of this label goes: no file that exists, nor one of `taken`; None for none."""
+        """Return a new path for a recording, not in `taken`; None if the run keeps no recordings."""
         if self._results.keep == "results":
             return None
         stem = f"recording_{slug(label)}" if label else "recording"
@@ -59,7 +59,7 @@ class Recordings:
         return path
 
     def record(self, bench: Bench, label: str, *, lossless: bool) -> None:
-        """Have a bench recorded; one that cannot be is an error unless the run may go on without.
+        """Attach a recorder to a bench; a failure is an error unless the run may go on without a recording.
 
         Raises:
             DataError: the file cannot be created.
@@ -82,23 +82,23 @@ class Recordings:
         self.add(path)
 
     def add(self, path: Path) -> None:
-        """Make a recording known that has begun."""
+        """Add a started recording to results and journal."""
         self._results.findings.recordings.append(path.name)
         self._results.journal.add("recording", {"path": path.name})
 
     def object(self, objection: RecordingError) -> None:
-        """Keep what is wrong with a recording that another process wrote."""
+        """Keep the error of a recording that another process wrote."""
         self._objections.append(objection)
 
     def finish(self) -> None:
-        """Tell what is missing from the newest, whose bench was closed."""
+        """Note what is missing from the newest recording, after its bench was closed."""
         if self._newest is not None and self._newest.shortfall:
             self._results.note_in_any_case(
                 f"{self._newest.path.name} is not complete: {self._newest.shortfall}"
             )
 
     def objection(self) -> RecordingError | None:
-        """What the run has to end with when cycles are missing; None if it need not."""
+        """Return the error with which the run has to end if cycles are missing; None for none."""
         return next(filter(None, (*self._objections, *(r.objection() for r in self._recorders))), None)
 
 
@@ -110,21 +110,20 @@ class RunBenches:
     """The benches that a run has opened.
 
     Args:
-        source, past: as in the attributes.
-        results: of the run: takes recordings, notes and figures.
-        options: of the run.
+        source, past: see the attributes.
+        results: outputs of the run: receives recordings, notes and figures.
+        options: options of the run.
 
     Attributes:
-        source: which bench, to open it again (`reopen`) or in another process.
-        past: the interrupted run that this one goes on with; None for a new one.
+        source: describes the bench, to open it again (`reopen`) or in another process.
+        past: the interrupted run that this run resumes; None for a new run.
         opened: the bench if it is open.
-        left_behind: whether a checkpoint that is not repeated has left the emulated robot elsewhere.
-        guard: ends a loop that runs too long, or when a signal came.
-        left: how the benches that were closed left the robot.
-        world_ns: how far the emulated world has come when its bench was closed; of several, the one that has
-            come farthest.
-        looked_ns: the same when the look at the stopped robot was over.
-        lost: devices that ended runs of the loop, in words.
+        left_behind: whether a finished checkpoint left the emulated robot at another place.
+        guard: ends a loop that exceeds its time limit or after a signal.
+        left: final hold reports of the closed benches.
+        world_ns: time of the emulated world when its bench was closed, ns; the latest of several worlds.
+        looked_ns: the same for the end of the check of the stopped robot.
+        lost: messages about devices that ended runs of the loop.
     """
 
     def __init__(
@@ -157,7 +156,7 @@ class RunBenches:
         return self.opened if self.opened is not None else self.reopen(self.source)
 
     def reopen(self, source: BenchSource, label: str = "", prompt: str = "") -> Bench:
-        """As `Context.reopen`; `source` is that of the run with what is to be different."""
+        """As `Context.reopen`; `source` is that of the run with the changes."""
         again, self.left_behind = self.opened is not None, False
         self.close()
         if source.real and (again or prompt):
@@ -256,7 +255,7 @@ class RunBenches:
             raise found.error
 
     def show_histories(self) -> None:
-        """Leave how the sensors fitted, and figures of path and hold; of the path where there is no other."""
+        """Add the table of sensor fits, a figure of the hold, and one of the path if there are no others."""
         fitted = list(self._fit_history.rows())
         if fitted:
             noise = known_parts(self.source.config).get("noise")
@@ -273,10 +272,10 @@ class RunBenches:
             self._results.draw(hold, "Adhesion", hold_history.CAPTION)
 
     def unrecorded(self) -> RecordingError | None:
-        """What the run has to end with when cycles are missing from its recordings; None if it need not."""
+        """Return the error with which the run has to end if recordings lack cycles; None for none."""
         return self._recordings.objection()
 
     def world_at(self) -> tuple[int, int] | None:
-        """Which emulated world the run has open, and its time; None for none."""
+        """Return identity and time, ns, of the open emulated world; None without one."""
         bench = self.opened
         return None if bench is None or self.source.real else (id(bench), bench.clock.now_ns())

@@ -1,7 +1,7 @@
-"""The journal of a run: what has happened so far, one JSON line each, on disk before the run goes on.
+"""The journal of a run: one JSON line per event, written to disk before the run continues.
 
-A run that was killed is continued from it. A line that was cut off in the middle of writing is
-dropped; any other damage is named and refused, because a run continued from it would mix up facts.
+A killed run can be resumed from its journal. An incomplete last line is dropped; any other damage is
+an error, because a run resumed from a damaged journal would have wrong results.
 """
 
 from __future__ import annotations
@@ -78,10 +78,10 @@ class Journal:
 
     Args:
         path: the file; created if it does not exist.
-        on_failure: whether a run has to `stop`, or may `go-on`, once an entry cannot be kept.
+        on_failure: whether the run has to `stop` or may `go-on` if an entry cannot be written.
 
     Attributes:
-        failure: why the journal ended before the run; empty if it did not.
+        failure: why writing failed before the end of the run; empty if it did not.
     """
 
     def __init__(self, path: Path, on_failure: OnFailure = "stop") -> None:
@@ -101,7 +101,7 @@ class Journal:
         """Append one entry; `data` holds JSON values.
 
         Raises:
-            RecordingError: the disk does not take it, and the run is to stop then.
+            RecordingError: the entry cannot be written, and the run has to stop in this case.
         """
         if self.failure and self.on_failure == "go-on":
             return
@@ -128,7 +128,7 @@ class Journal:
             ) from None
 
     def close(self) -> None:
-        """Let go of the file. Idempotent."""
+        """Close the file. Idempotent."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -136,13 +136,13 @@ class Journal:
 
 @dataclass
 class PastRun:
-    """What the journal of an interrupted run says.
+    """Content of the journal of an interrupted run.
 
     Attributes:
         header: first entry: procedure, its script and limits, parameters, seed, bench.
         checkpoints: entries made inside each finished checkpoint, by title; its value comes last.
         recordings: files written so far.
-        held: how each bench left the robot, and to which checkpoint it belongs.
+        held: final hold report of each bench, with its checkpoint.
         resumed: how often the run was resumed before.
     """
 
@@ -154,15 +154,15 @@ class PastRun:
 
     @property
     def left_behind(self) -> bool:
-        """Whether a finished checkpoint has left an emulated robot somewhere, with its bench open."""
+        """Whether a finished checkpoint has moved an emulated robot and left its bench open."""
         return any(entries[-1].get("moved") for entries in self.checkpoints.values())
 
 
 def read_journal(path: Path) -> PastRun:
-    """Read the journal of a run that did not finish.
+    """Read the journal of an unfinished run.
 
     Raises:
-        ConfigError: missing, damaged (with the line), of another schema, or of a finished run.
+        ConfigError: the journal is missing, damaged (names the line), has another schema, or is finished.
     """
     entries = _entries(path)
     if not entries or entries[0]["kind"] != "run":
@@ -199,12 +199,12 @@ def read_journal(path: Path) -> PastRun:
 
 
 def differences(then: Entry, now: Entry, config: BenchConfig) -> list[str]:
-    """In what a run that was cut off differs from one that is to go on with it; empty for nothing.
+    """Return differences between an interrupted run and the run that resumes it; empty for none.
 
     Args:
-        then: its header.
-        now: the header that this run would have.
-        config: of its bench.
+        then: header of the interrupted run.
+        now: header that the new run would have.
+        config: configuration of its bench.
     """
     apart = ("config", "script", "measurements")
     found = [key for key in now if key not in apart and then.get(key) != now[key]]
@@ -220,7 +220,7 @@ def differences(then: Entry, now: Entry, config: BenchConfig) -> list[str]:
 
 
 def _limits(then: list[Entry], now: list[Entry]) -> Iterator[str]:
-    """Measurements of which the declarations differ, and how."""
+    """Yield measurements whose declarations differ, and how."""
     before, after = ({row["name"]: row for row in rows} for rows in (then, now))
     for name in dict.fromkeys((*before, *after)):
         one, other = before.get(name), after.get(name)
@@ -255,7 +255,7 @@ def _entries(path: Path) -> list[Entry]:
 
 
 def _entry(line: bytes) -> Entry:
-    """One line; raises `ValueError` for one that is no entry, `KeyError` for one that lacks something."""
+    """Parse one line; raises `ValueError` if it is not an entry, `KeyError` if a key is missing."""
     entry = json_object(line)
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -267,7 +267,7 @@ def _entry(line: bytes) -> Entry:
 
 
 def drop_torn_line(path: Path) -> None:
-    """Cut off what follows the last whole line, so that the next entry starts on a line of its own."""
+    """Remove an incomplete last line, so that the next entry starts on a new line."""
     data = path.read_bytes()
     whole, newline, torn = data.rpartition(b"\n")
     if torn:

@@ -1,4 +1,4 @@
-"""How a procedure is run: its folder, its clock, its operator."""
+"""Options of a run: results folder, clock, operator and others."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from hil.support.progress import Report, silent
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to run.
+    """Options of a run.
 
     Attributes:
-        folder: results folder; new, or with an interrupted run's journal when `resume` is set.
-        clock: for durations.
+        folder: results folder; new, or with the journal of an interrupted run if `resume` is set.
+        clock: measures durations.
         started: date and time, ISO 8601.
         parameters: texts of `--set` or typed values.
-        operator: who answers prompts.
-        report: progress (what, done, total).
+        operator: answers prompts.
+        report: receives progress (what, done, total).
         resume: continue from the journal in `folder`.
-        on_recording_failure: whether the run has to `stop`, or may `go-on`, once what it does can no longer
-            be kept in its recordings and its journal.
-        interrupts: signals that the caller takes also before and after the run.
+        on_recording_failure: whether the run has to `stop` or may `go-on` if recordings or journal can no
+            longer be written.
+        interrupts: signal handling, which the caller also uses before and after the run.
         keep: `results` leaves out recordings and figures.
     """
 

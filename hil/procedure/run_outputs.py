@@ -1,6 +1,6 @@
-"""What a run leaves for its reader: measurements, tables, figures, files and notes, each kept at once.
+"""Outputs of a run: measurements, tables, figures, files and notes, each stored immediately.
 
-Everything goes into the journal before it counts, so that a run that was struck down can be resumed.
+Every output is written to the journal first, so that a killed run can be resumed.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Keep = Literal["all", "results"]
-"""What stays of a run: `all`, or `results` without recordings and figures."""
+"""What a run keeps: `all`, or `results` without recordings and figures."""
 _LISTED = 6
-"""How many values of a measurement that was set again a note lists."""
+"""How many values a note lists for a measurement that was set repeatedly."""
 
 
 @dataclass
 class Findings:
-    """What a run has left so far; the lists hold JSON values, `learned` parts of the robot's record.
+    """Outputs of a run so far; the lists hold JSON values, `learned` holds parts for the robot's record.
 
-    `earlier` has what a measurement was set to before, where it was set to something else again.
+    `earlier` holds the previous values of a measurement that was set again to a different value.
     """
 
     values: dict[str, float] = field(default_factory=dict)
@@ -53,18 +53,18 @@ class Findings:
 
 
 class RunOutputs:
-    """The open pages of one run.
+    """Collects the outputs of one run.
 
     Args:
-        folder, declared, journal, keep: as in the attributes.
+        folder, declared, journal, keep: see the attributes.
 
     Attributes:
         folder: results folder of the run.
-        declared: measurements that may be left.
-        journal: where everything that is left is noted.
-        keep: whether there are figures.
-        findings: what has been left so far.
-        titles: of the steps that have begun and not ended, the inmost last.
+        declared: declared measurements; no others can be set.
+        journal: receives every output.
+        keep: `results` for a run without figures.
+        findings: outputs so far.
+        titles: titles of the running steps, the innermost last.
     """
 
     def __init__(
@@ -81,13 +81,13 @@ class RunOutputs:
         return self.titles[-1] if self.titles else "start"
 
     def add_step(self, title: str, outcome: str, **passed_s: float) -> Entry:
-        """Count a step within those that have begun; how it goes on is put into what this returns."""
+        """Add a step to the results; return its entry, in which the caller updates the outcome."""
         entry: Entry = {"title": title, "depth": len(self.titles), "outcome": outcome, **passed_s}
         self.findings.steps.append(entry)
         return entry
 
     def measure(self, name: str, value: float | bool) -> None:
-        """As `Context.measure`, which a script calls; raises `UsageError`."""
+        """As `Context.measure`; raises `UsageError`."""
         if name not in self._by_name:
             raise UsageError(
                 f"measurement {name!r} is not declared", expected="one of " + ", ".join(self._by_name)
@@ -117,8 +117,8 @@ class RunOutputs:
         return worst(m.judge(values[n]) for n, m in self._by_name.items() if n in values)
 
     def set_again(self) -> list[str]:
-        """A sentence about each measurement that was set to one thing and then to another."""
-        said = []
+        """Return a sentence about each measurement that was set to different values."""
+        notes = []
         for name, before in self.findings.earlier.items():
             measurement, every = self._by_name[name], [*before, self.findings.values[name]]
             reported = [
@@ -128,8 +128,8 @@ class RunOutputs:
             ]
             if len(reported) > _LISTED:
                 reported[_LISTED - 1 : -1] = ["..."]
-            said.append(f"{name} was set {len(every)} times: {', '.join(reported)}. The last one counts.")
-        return said
+            notes.append(f"{name} was set {len(every)} times: {', '.join(reported)}. The last one counts.")
+        return notes
 
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
@@ -159,7 +159,7 @@ class RunOutputs:
             raise UsageError(f"{what} {title!r} exists twice", expected="a title of its own")
 
     def draw(self, figure: Figure | Callable[[], Figure], title: str, caption: str) -> None:
-        """Save a figure, whatever its title; raises `UsageError` for what is none."""
+        """Save a figure without a check of its title; raises `UsageError` if it is not a figure."""
         from matplotlib.figure import Figure
 
         from hil.report.page_figures import save_figure
@@ -189,7 +189,7 @@ class RunOutputs:
         return inside
 
     def _place_of(self, path: Path) -> Path:
-        """Where the copy of a file goes: nothing that is there already, but for the same content."""
+        """Return the path for a copy of a file: a new one, or an existing one with the same content."""
         inside, number = self.folder / "attachments" / path.name, 1
         while inside.exists() and not filecmp.cmp(path, inside, shallow=False):
             number += 1
@@ -203,23 +203,23 @@ class RunOutputs:
         self.findings.data[name] = found
 
     def note(self, text: str) -> None:
-        """Leave a sentence for the reader of the report."""
+        """Add a sentence for the reader to the report."""
         self.journal.add("note", {"text": text})
         self.findings.notes.append(text)
 
     def note_in_any_case(self, text: str) -> None:
-        """A note that is left even where the journal does not take it."""
+        """Add a note, even if the journal cannot be written."""
         with suppress(HilError):
             self.journal.add("note", {"text": text})
         self.findings.notes.append(text)
 
     def note_answer(self, question: str, answer: str) -> str:
-        """Keep what the operator has said, and give it back."""
+        """Write the operator's answer to the journal; return it."""
         self.journal.add("answer", {"question": question, "answer": answer})
         return answer
 
     def take_again(self, entries: Sequence[Entry], title: str) -> None:
-        """Count what a checkpoint has left in the journal of an earlier run."""
+        """Restore the outputs of a checkpoint from the journal of an earlier run."""
         lists = {
             "table": self.findings.tables,
             "figure": self.findings.figures,
@@ -238,20 +238,20 @@ class RunOutputs:
 
 
 def slug(text: str) -> str:
-    """A text as part of a file name."""
+    """Convert a text to a part of a file name."""
     return re.sub(r"[^a-zA-Z0-9]+", "_", text).strip("_").lower()[:60] or "unnamed"
 
 
 def as_json(what: str, value: Any, default: Callable[[Any], Any] | None = None) -> Any:
-    """A value as JSON gives it back: tuples become lists, keys texts.
+    """Return a value as read back from JSON: tuples become lists, keys become texts.
 
     Args:
-        what: it is, for the error.
-        value: of numbers, texts, lists and dictionaries.
-        default: makes such of what is none; raises `TypeError` where it cannot.
+        what: description of the value for the error message.
+        value: numbers, texts, lists and dictionaries.
+        default: converts a value of another type; raises `TypeError` if it cannot.
 
     Raises:
-        UsageError: JSON cannot hold it.
+        UsageError: JSON cannot represent the value.
     """
     try:
         return json.loads(json.dumps(value, default=default))
@@ -264,14 +264,14 @@ def as_json(what: str, value: Any, default: Callable[[Any], Any] | None = None) 
 
 
 def _plain(value: Any) -> Any:
-    """A number or an array of numpy as JSON has them."""
+    """Convert a numpy number or array to JSON values."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     raise TypeError(f"a {type(value).__name__}")
 
 
 def _one_number(value: Any) -> float | None:
-    """A number as `float`; None for an array, a text and whatever else is not one."""
+    """Convert a single number to `float`; return None for an array, a text or any other type."""
     try:
         return None if isinstance(value, str) or np.ndim(value) else float(value)
     except (TypeError, ValueError):
@@ -279,7 +279,7 @@ def _one_number(value: Any) -> float | None:
 
 
 def _what(value: object) -> str:
-    """A wrong value in words: an array by its shape, else what it is."""
+    """Describe a wrong value: an array by its shape, another value by its type and text."""
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
     return f"a {type(value).__name__}, {value!r:.60}"

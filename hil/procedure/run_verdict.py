@@ -1,4 +1,4 @@
-"""What a run comes to: its errors by name and step, the verdict, and the facts of `result.json`."""
+"""Concludes a run: its errors with name and step, its verdict, and the facts of `result.json`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 def failure(problem: BaseException, context: Context, where: str = "") -> Failure:
-    """What ended a step, and the exit code that it asks for; `where` names it, else it is the last step."""
+    """Convert an exception to a `Failure` with its exit code; `where` names the step, by default the last."""
     step, finished = (where, False) if where else _place(context)
     if isinstance(problem, HilError):
         code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
@@ -29,12 +29,12 @@ def failure(problem: BaseException, context: Context, where: str = "") -> Failur
     no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
     code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
     frames = as_json(chain_of(problem, shipped=True))
-    said = f"{problem} ({place_of(problem)})"
-    return Failure(type(problem).__name__, said, step, code, finished, tuple(frames))
+    message = f"{problem} ({place_of(problem)})"
+    return Failure(type(problem).__name__, message, step, code, finished, tuple(frames))
 
 
 def _place(context: Context) -> tuple[str, bool]:
-    """The step that failed, else the last one, which was finished; `start` before the first."""
+    """Return (failed step, False), else (last step, which was finished, True); `start` before the first."""
     steps = context.findings.steps
     failed = [s["title"] for s in steps if s["outcome"] == "failed"]
     if failed:
@@ -43,9 +43,9 @@ def _place(context: Context) -> tuple[str, bool]:
 
 
 def not_held(context: Context, known: Failure | None) -> list[Failure]:
-    """A robot that should be held and is not is an error of a run that knows of no other.
+    """Return errors for benches that did not hold the robot, if the run has no other error.
 
-    Where another error counts, and the run had several benches, notes say of which the robot was not held.
+    If there is another error and the run had several benches, notes name the benches without hold instead.
     """
     lost = [(bench.name, bench.held.why) for bench in context.benches.left.not_held]
     if known is None:
@@ -56,12 +56,12 @@ def not_held(context: Context, known: Failure | None) -> list[Failure]:
 
 
 def conclude(context: Context, error: Failure | None, late: list[Failure], facts: dict[str, Any]) -> Result:
-    """The verdict: an abort or an error before everything, else the worst measurement.
+    """Return the result; its verdict is ABORTED or ERROR after an error, else that of the worst measurement.
 
     Args:
-        context: as the body left it.
-        error: what ended the body early.
-        late: errors of teardown.
+        context: context after the end of the body.
+        error: error that ended the body early.
+        late: errors of the teardown.
         facts: further entries of `result.json`.
     """
     findings = context.findings
@@ -76,12 +76,12 @@ def conclude(context: Context, error: Failure | None, late: list[Failure], facts
 
 
 def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str, Any]:
-    """The facts in `result.json` beside verdict and measurements.
+    """Return the entries of `result.json` beside verdict and measurements.
 
     Args:
-        context: as the body left it.
-        wall_s: how long the body and the teardown took, in s.
-        error: what ended the body early; another device that failed is named in a note.
+        context: context after the end of the body.
+        wall_s: duration of body and teardown, s.
+        error: error that ended the body early; a note names any other device that failed.
     """
     from hil.bench import planned_faults
     from hil.support.versions import versions
@@ -89,7 +89,7 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
     proc, benches, past = context.proc, context.benches, context.benches.past
     findings, source = context.findings, context.source
     missed: tuple[str, ...] = ()
-    if past is None:  # a run that was cut off does not say how far its world had come
+    if past is None:  # the world time that an interrupted run reached is not known
         missed = not_begun(planned_faults(source.config, source.faults), benches.world_ns)
     reported = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
     known = "" if error is None else error.message

@@ -1,7 +1,7 @@
-"""Runs a procedure: checks first, then the function, then the teardown, then the verdict on disk.
+"""Runs a procedure: first checks, then the function, the teardown, and the verdict on disk.
 
-Whatever happens in between, the robot ends held, the first error is the one that is reported, and
-the results folder is complete. A dry run says what it would do, without moving anything.
+After any error the robot is held, the first error is reported, and the results folder is complete. A dry
+run describes what would be done, without moving anything.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
 
     Args:
         proc: the procedure.
-        source: bench that it runs on.
+        source: bench on which to run.
         options: folder, clock, parameters, operator and the like.
 
     Raises:
-        HilError: something was wrong before anything could move (configuration, parameters, journal).
+        HilError: a problem found before anything could move (configuration, parameters, journal).
     """
-    with options.interrupts.heeded():  # nothing is open, and what a script declares may take for ever
+    with options.interrupts.heeded():  # nothing is open, and functions of the script may hang
         given = with_own_devices(proc.parameters, options.parameters, source.config)
         parameters = make_parameters(proc.parameters, given, proc.name)
         proc.check_needs(source.config)
@@ -77,13 +77,13 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
 
 
 def _first_word(header: Entry, options: RunOptions, past: PastRun | None) -> tuple[str, Entry]:
-    """What a run begins with in its journal."""
+    """Return kind and data of the first journal entry of a run."""
     begun = {"started": options.started}
     return ("run", {**header, **begun}) if past is None else ("resume", begun)
 
 
 def _recorded_run(context: Context) -> Result:
-    """The run itself, from the first note that it leaves to its last word in the journal."""
+    """Run function and teardown, write the result, and end the journal."""
     past, clock = context.benches.past, context.clock
     if context.results.keep == "results" and past is None:
         context.note(_LEFT_OUT)
@@ -100,7 +100,7 @@ def _recorded_run(context: Context) -> Result:
 
 
 def _learnt(context: Context, error: Failure | None, late: list[Failure]) -> dict[str, Any] | None:
-    """What the run adds to the record of the robot; a record that does not take it is one of `late`."""
+    """Add the parts of the run to the robot's record; an error of the record is appended to `late`."""
     verdict = conclude(context, error, late, {}).verdict
     kept, problem = keep_parts(context, verdict)
     if problem is not None:
@@ -109,7 +109,7 @@ def _learnt(context: Context, error: Failure | None, late: list[Failure]) -> dic
 
 
 def _kept(result: Result) -> Result:
-    """The result, written into its folder; where that fails, the result with that error in it."""
+    """Write the result; return it, with the error added if it cannot be written."""
     try:
         write_result(result)
     except DataError as problem:
@@ -122,7 +122,7 @@ def _kept(result: Result) -> Result:
 def header_of(
     proc: Procedure, parameters: Any, declared: Sequence[Measurement], source: BenchSource
 ) -> Entry:
-    """What a journal says of its run: all that a run that goes on with it must have in common with it."""
+    """Return the journal header: all settings that a resumed run must share."""
     return {
         "schema": SCHEMA,
         "procedure": proc.name,
@@ -159,14 +159,14 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
 
 
 def _execute(context: Context) -> tuple[Failure | None, list[Failure], dict[str, float] | None]:
-    """The function and the teardown; returns the first error, the teardown's, and loop statistics."""
+    """Run function and teardown; return the first error, the errors of the teardown, and loop statistics."""
     benches, limit_s = context.benches, context.proc.teardown_s
     error: Failure | None = None
     try:
         with context.options.interrupts.heeded():
             context.proc.perform(context)
             benches.show_histories()
-    except BaseException as problem:  # whatever a script raises, the robot is held and the results are kept
+    except BaseException as problem:  # the robot is held and results are kept after any error of a script
         error = failure(problem, context)
     late: list[Failure] = []
     statistics = None
@@ -190,26 +190,26 @@ def _attempt(
     try:
         with time_limit(limit_s, title):
             action()
-    except BaseException as problem:  # the bench has yet to be closed
+    except BaseException as problem:  # the bench still has to be closed
         late.append(failure(problem, context, title))
     finally:
         context.guard.pop_limit()
 
 
 def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Check everything that can be checked beforehand.
+    """Check everything that can be checked before a run.
 
     Args:
         proc: the procedure.
-        source: bench that it would run on.
+        source: bench on which it would run.
         settings: parameters by name.
 
     Returns:
-        JSON values: procedure, parameters, what each of them is (`help`), measurements with limits,
+        JSON values: procedure, parameters and their descriptions (`help`), measurements with limits,
         steps with their trajectories.
 
     Raises:
-        ConfigError, TrajectoryError: the first thing that would go wrong.
+        ConfigError, TrajectoryError: the first problem found.
     """
     config = source.config
     given = with_own_devices(proc.parameters, settings, config)

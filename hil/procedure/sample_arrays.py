@@ -1,4 +1,4 @@
-"""Arrays from the samples inside a motion's records: when measured, when received, what."""
+"""Extracts arrays from the samples in a motion's records: stamps, arrival times and values."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Series:
     """Usable samples of one device, oldest first.
 
     Attributes:
-        t_s: when measured, s since the motion's first cycle, shape (n,).
-        host_s: when received, same axis, shape (n,).
-        device_s: the device's own time since its first sample; NaN where it has none.
+        t_s: time of measurement, s since the motion's first cycle, shape (n,).
+        host_s: time of arrival, same axis, shape (n,).
+        device_s: time of the device's own clock since its first sample, s; NaN without a device clock.
         values: (n, k).
-        seen: samples that came, usable or not.
+        seen: number of received samples, usable or not.
     """
 
     t_s: Array
@@ -40,29 +40,29 @@ class Series:
         return np.asarray(self.values[:, column], dtype=np.float64)
 
     def since(self, t_s: float) -> Series:
-        """Only what was measured from `t_s` on: queues may hold older samples when a motion begins."""
+        """Return only samples measured from `t_s` on: queues may hold older samples when a motion begins."""
         keep = self.t_s >= t_s
         return Series(
             self.t_s[keep], self.host_s[keep], self.device_s[keep], self.values[keep], int(keep.sum())
         )
 
     def later(self, by_s: float) -> Series:
-        """The same samples on a time axis that begins so much earlier."""
+        """Return the same samples on a time axis that begins `by_s` earlier."""
         return replace(self, t_s=self.t_s + by_s, host_s=self.host_s + by_s)
 
     def between(self, begin_s: float, end_s: float) -> Array:
-        """Mean row of a stretch of time, (k,); NaN where nothing was usable."""
+        """Return the mean row of a time interval, (k,); NaN without usable samples."""
         rows = self.values[(self.t_s >= begin_s) & (self.t_s < end_s)]
         return rows.mean(axis=0) if len(rows) else np.full(self.values.shape[1], np.nan)
 
     def at(self, t_s: Array, column: int) -> Array:
-        """One column interpolated, shape of `t_s`; NaN outside the data."""
+        """Interpolate one column at `t_s`, same shape; NaN outside the data."""
         if len(self) < 2:
             return np.full(len(t_s), np.nan)
         return np.interp(t_s, self.t_s, self[column], left=np.nan, right=np.nan)
 
     def mean(self, column: int) -> float:
-        """Mean of a column, NaN without samples."""
+        """Return the mean of a column; NaN without samples."""
         return float(self[column].mean()) if len(self) else float("nan")
 
 
@@ -84,7 +84,7 @@ def _series(motion: Motion, rows: Iterable[tuple[Stamp, bool, Array]], width: in
 
 
 def arrivals(motion: Motion, kind: str) -> Series:
-    """When samples of any kind of device came, without their values, (n, 0)."""
+    """Return arrival times of the samples of any kind of device, without values, (n, 0)."""
     return _series(
         motion,
         ((s.stamp, worst(s) is Status.OK, np.empty(0)) for r in motion.records for s in r.inputs.of(kind)),
@@ -93,7 +93,7 @@ def arrivals(motion: Motion, kind: str) -> Series:
 
 
 def wheels(motion: Motion) -> Series:
-    """Aligned wheels: angle (0-3), rate (4-7), steering (8-11), wheel order."""
+    """Return aligned wheels: angle (0-3), rate (4-7), steering (8-11), wheel order."""
     return _series(
         motion,
         (
@@ -136,7 +136,7 @@ def inertial(motion: Motion) -> Series:
 
 
 def poses(motion: Motion, source: str) -> Series:
-    """Aligned body poses (x, y, heading) of `mocap` or `tracker`."""
+    """Return aligned body poses (x, y, heading) of `mocap` or `tracker`."""
     return _series(
         motion,
         ((m.stamp, m.valid, m.pose) for r in motion.records for m in getattr(r.measurements, source)),
@@ -145,7 +145,7 @@ def poses(motion: Motion, source: str) -> Series:
 
 
 def camera(motion: Motion) -> Series:
-    """The camera as it comes: position (0-2), quaternion wxyz (3-6), velocity (7-9), turn rate (10-12)."""
+    """Return raw camera samples: position (0-2), quaternion wxyz (3-6), velocity (7-9), turn rate (10-12)."""
     return _series(
         motion,
         (
@@ -162,6 +162,6 @@ def camera(motion: Motion) -> Series:
 
 
 def integrated(t_s: Array, rate: Array) -> Array:
-    """Way of a rate signal."""
+    """Integrate a rate signal over time."""
     steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)
     return np.concatenate([np.zeros(min(len(rate), 1)), np.cumsum(steps)])

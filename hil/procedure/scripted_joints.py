@@ -1,7 +1,7 @@
-"""Drives the joints by a script instead of a trajectory, through the same loop, supervisor and sinks.
+"""Drives the joints from a script instead of a trajectory, through the same loop, supervisor and sinks.
 
-What a procedure needs that examines single joints (turn one steering servo, roll one wheel) or that
-wants to know exactly what was commanded when. The robot stands before and after.
+For procedures that examine single joints (turn one steering servo, roll one wheel) or that need the exact
+command at each time. The robot stands still before and after.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _FEEDBACK = "odometry"
 
 
 def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, steering_rad: Array) -> Motion:
-    """Enable, run through a script of joint commands, hold; the robot's pose is followed by odometry.
+    """Enable the servos, run a script of joint commands, hold; odometry tracks the robot's pose.
 
     Args:
         bench: open.
-        stretches: one after the other.
-        start_pose: where the robot stands, (3,); the supervisor's limits on heading and distance count.
-        steering_rad: (4,) where the steering stands.
+        stretches: parts of the script, in order.
+        start_pose: pose of the robot, (3,); the supervisor's limits on heading and distance apply.
+        steering_rad: current steering angles, (4,).
 
     Raises:
         SafetyStop, DeviceError: in each case the robot is stopped.

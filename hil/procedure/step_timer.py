@@ -1,4 +1,4 @@
-"""Sinks that a run puts on its bench: the recording, and a guard that ends a step in time."""
+"""Sinks that a run adds to its bench: the recorder, and a timer that enforces step time limits."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from hil.recording.mcap_writer import McapRecorder, OnFailure
 
 _GAP_NS = nanoseconds(10.0)
 _LOOP_FIRST_NS = nanoseconds(1.0)
-"""For how long a loop that runs may be the first to end a step, between two cycles."""
+"""Delay of the clock alarm, so that a running loop can end the step first, between two cycles."""
 
 
 class StepTimer(Sink):
-    """Ends the loop from within: when a step's time is over, or when a stop was asked for.
+    """Ends the loop when the time limit of a step has passed, or after a stop request.
 
-    The time of a step is that of the bench's clock while a bench is open, whether its loop runs or not. In
-    virtual time the clock itself ends a step that waits without a loop; in real time that is found out when
-    the step ends.
+    Step time is the time of the bench's clock while a bench is open, whether its loop runs or not. In
+    virtual time an alarm of the clock ends a step that waits without a loop; in real time the limit is
+    checked when such a step ends.
 
     Attributes:
         driven_ns: bench time that the loop has run, over all benches of the run.
@@ -39,29 +39,29 @@ class StepTimer(Sink):
         self.driven_ns = 0
 
     def watch(self, clock: Clock, *, virtual: bool) -> None:
-        """Count the time of a bench that was opened.
+        """Start to count the time of an opened bench.
 
         Args:
-            clock: of the bench.
-            virtual: its time moves only while a caller waits for it.
+            clock: clock of the bench.
+            virtual: whether its time advances only while a caller waits.
         """
         self._clock, self._virtual, self._since_ns = clock, virtual, clock.now_ns()
         self._set_alarm()
 
     def leave(self) -> None:
-        """Count no more: the bench is about to be closed, which no limit cuts short. Idempotent."""
+        """Stop counting: the bench will be closed, and no limit interrupts this. Idempotent."""
         self._before_ns, self._clock = self._passed_ns, None
         self._set_alarm()
 
     def add(self, driven_s: float) -> None:
-        """Count the time, s, of a bench that another process has driven."""
+        """Add the time, s, of a bench that another process has driven."""
         self.driven_ns += nanoseconds(driven_s)
         self._before_ns += nanoseconds(driven_s)
         self._set_alarm()
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Count nothing while a person is asked."""
+        """Pause the count while a person is asked."""
         begin_ns = self._passed_ns
         try:
             yield
@@ -69,12 +69,12 @@ class StepTimer(Sink):
             self._before_ns -= self._passed_ns - begin_ns
 
     def push_limit(self, what: str, limit_s: float) -> None:
-        """From now on allow `limit_s` of bench time, within the limits that already hold."""
+        """Start a limit of `limit_s` of bench time, within the current limits."""
         self._limits.append((what, limit_s, self._passed_ns + nanoseconds(limit_s)))
         self._set_alarm()
 
     def pop_limit(self) -> None:
-        """Take back the last limit."""
+        """Remove the last limit."""
         self._limits.pop()
         self._set_alarm()
 
@@ -99,7 +99,7 @@ class StepTimer(Sink):
         return next((StepTimeoutError(what, limit_s) for what, limit_s in over), None)
 
     def _set_alarm(self) -> None:
-        """Have the virtual clock end a call that sleeps on it for long beyond the nearest limit, once."""
+        """Schedule an alarm on the virtual clock that ends a call which sleeps past the nearest limit."""
         self._forget_alarm()
         self._forget_alarm = _nothing
         if self._clock is not None and self._virtual and self._limits:
@@ -124,7 +124,7 @@ class StepTimer(Sink):
         self._last_ns = record.start_ns
 
     def objection(self) -> HilError | None:
-        """`Aborted` or `StepTimeoutError`, which the loop stops the robot with."""
+        """Return `Aborted` or `StepTimeoutError`, with which the loop stops the robot; None to go on."""
         stopping = self._interrupts.stopping()
         if stopping is not None:
             return stopping
@@ -136,18 +136,18 @@ class StepTimer(Sink):
 
 
 def _nothing() -> None:
-    """What forgets an alarm that was not set."""
+    """Cancel function for an alarm that was not set."""
 
 
 class RunRecorder(McapRecorder):
-    """A recorder that no signal interrupts in the middle of a record.
+    """A recorder that a signal does not interrupt within a record.
 
     Args:
-        path: of the recording.
+        path: file of the recording.
         header: JSON values.
-        interrupts: held off while a record is written.
-        lossless: drop nothing, for virtual time.
-        on_failure: what a disk that takes no more means for the run.
+        interrupts: signals, deferred while a record is written.
+        lossless: drop no records, for virtual time.
+        on_failure: whether a full disk stops the run.
     """
 
     def __init__(
@@ -163,12 +163,12 @@ class RunRecorder(McapRecorder):
         super().__init__(path, header, lossless=lossless, on_failure=on_failure)
 
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Write one record."""
         with self._interrupts.deferred():
             super().write(record)
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Keep a note.
+        """Write a note.
 
         Args:
             t_ns: bench time, ns.
@@ -179,6 +179,6 @@ class RunRecorder(McapRecorder):
             super().note(t_ns, kind, data)
 
     def close(self) -> None:
-        """Write the rest."""
+        """Write the remaining data and close the file."""
         with self._interrupts.deferred():
             super().close()

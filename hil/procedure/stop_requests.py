@@ -1,11 +1,11 @@
-"""Signals during a run: finish the step, or stop now.
+"""Handles signals during a run: finish the step, or stop now.
 
-SIGINT once asks for an orderly end at the next step, for which the step has `patience_s`. SIGINT again,
-SIGTERM or SIGHUP, or a step that takes longer, ends the work at once: `Aborted` is raised in the main thread,
-on whose way out the robot is stopped. It is raised once: that way out is not cut short. Inside `deferred()`
-(writing a record, opening and closing a bench, tearing down, all that comes after the verdict) a signal waits
-for the end of the block, or for the code of a device package in it that has been running for too long: it may
-never come back.
+The first SIGINT requests an orderly end after the current step, which may take `patience_s`. A second
+SIGINT, SIGTERM, SIGHUP or a step that takes longer stops the work at once: `Aborted` is raised in the main
+thread, and the robot is stopped. It is raised once, so that stopping is not interrupted. Inside `deferred()`
+(writing a record, opening and closing a bench, teardown, everything after the verdict) a signal waits for the
+end of the block. It does not wait for code of a device package that has been running for too long, because
+this may never return.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hil.core.errors import Aborted, StepTimeoutError
 from hil.support.stop_signals import handled_by
 
 PATIENCE_S = 1.0
-"""For how long a person who has pressed Ctrl-C waits for the end of the step."""
+"""Time allowed for the step to end after Ctrl-C, s."""
 _TWICE = "a second SIGINT"
 _LATE = "SIGINT, and time"
 _BY = {
@@ -39,8 +39,8 @@ class Interrupts:
 
     Args:
         tell: called with a line for the operator.
-        patience_s: how long a step may go on after the first SIGINT, s of the computer's clock; None for as
-            long as it takes.
+        patience_s: how long a step may continue after the first SIGINT, s of the computer's clock; None for
+            no limit.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Interrupts:
         self._timer: threading.Timer | None = None
         self._late = False
         self._installed = 0
-        self._asked = 0
+        self._sigints = 0
         self._stop: str | None = None
         self._deferred = 0
         self._raised = False
@@ -58,37 +58,37 @@ class Interrupts:
     @property
     def asked_to_finish(self) -> bool:
         """Whether the run should end after the current step."""
-        return self._asked > 0 or self._stop is not None
+        return self._sigints > 0 or self._stop is not None
 
     def finish_here(self, where: str = "between two steps", remedy: str = "") -> None:
-        """At a boundary between steps: raise `Aborted` if that was asked for.
+        """At a boundary between steps: raise `Aborted` if a stop was requested.
 
         Args:
-            where: that boundary, in words.
-            remedy: what to do then.
+            where: the boundary, as text.
+            remedy: what the user can do then.
         """
         if self.asked_to_finish:
             raise Aborted(f"ended by {_BY[self._stop or 'SIGINT']} {where}", remedy=remedy)
 
     def stopping(self) -> Aborted | None:
-        """What to end a step with where an immediate stop was asked for; signals raise nothing any more."""
+        """Return `Aborted` if an immediate stop was requested, else None; later signals raise nothing."""
         if self._stop is None:
             return None
         self._raised = True
         return Aborted(f"stopped at once by {_BY[self._stop]}")
 
     def stop_here(self) -> None:
-        """Within a step: raise `Aborted` if an immediate stop was asked for."""
+        """Within a step: raise `Aborted` if an immediate stop was requested."""
         stopping = self.stopping()
         if stopping is not None:
             raise stopping
 
     def handle(self, number: int, _frame: FrameType | None = None) -> None:
-        """Take a signal."""
+        """Handle a signal: request a stop, or raise `Aborted`."""
         name = signal.Signals(number).name
         if number == signal.SIGINT:
-            self._asked += 1
-            if self._asked == 1:
+            self._sigints += 1
+            if self._sigints == 1:
                 self._give_time()
                 return
             name = _LATE if self._late else _TWICE
@@ -101,7 +101,7 @@ class Interrupts:
             leave(self._left)
 
     def _give_time(self) -> None:
-        """Let the step go on for a while; then this process gets the signal without waiting."""
+        """Let the step continue for `patience_s`; then send SIGINT to the main thread."""
         if self._patience_s is None:
             self._tell("finishing the step; press Ctrl-C again to stop now")
             return
@@ -115,13 +115,13 @@ class Interrupts:
         signal.pthread_kill(thread, signal.SIGINT)
 
     def _left(self, running: str) -> Aborted:
-        """What a call is left with that had been running for too long when a stop was asked for."""
+        """Return the error for a call that is abandoned, because it ran too long after a stop request."""
         self._raised = True
         return Aborted(f"stopped by {_BY[self._stop or _TWICE]} while this was running: {running}")
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Let a whole piece of work happen before a stop is taken."""
+        """Defer a stop to the end of the block."""
         self._deferred += 1
         try:
             yield
@@ -130,7 +130,7 @@ class Interrupts:
 
     @contextmanager
     def heeded(self) -> Iterator[None]:
-        """Within a deferred whole, the piece of work that a stop may end at once."""
+        """Within a deferred block, allow a stop at once."""
         deferred, self._deferred = self._deferred, 0
         try:
             self.stop_here()
@@ -140,7 +140,7 @@ class Interrupts:
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Handle the signals of this process; only possible in the main thread, elsewhere nothing."""
+        """Handle the signals of this process; does nothing outside of the main thread."""
         with handled_by(self.handle):
             self._installed += 1
             try:
@@ -149,15 +149,15 @@ class Interrupts:
                 self._installed -= 1
                 if not self._installed and self._timer is not None:
                     self._timer.cancel()
-                    self._timer.join()  # its signal, if it was sent, is still taken here
+                    self._timer.join()  # a signal that it has sent is still handled here
 
 
 @contextmanager
 def time_limit(limit_s: float, what: str) -> Iterator[None]:
-    """Raise `StepTimeoutError` in a block that takes longer than the operating system's timer allows.
+    """Raise `StepTimeoutError` if a block takes longer than `limit_s`, by a timer of the operating system.
 
-    The last resort for work that hangs without running the loop; only in the main thread. A timer that
-    was running (of pytest-timeout, say) runs on afterwards.
+    For work that hangs without running the loop; only in the main thread. A timer that was already running,
+    for example of pytest-timeout, continues afterwards.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,4 +1,4 @@
-"""Figures of one tracked motion: errors of the true pose against the reference, and series to draw."""
+"""Evaluates a tracked motion: errors of the true pose against the reference, time series and figures."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from hil.bench import Bench
 
 REFERENCE_M = 1.5
-"""Length of the lines on the wall that limits of accuracy are given for."""
+"""Length of the lines on the wall for which accuracy limits are given."""
 STAGGER_S = 0.13
-"""How much longer each repetition rests at first, so that worlds of one seed do not repeat their noise."""
+"""Extra initial rest of each repetition, so that worlds of one seed do not repeat their noise."""
 _END_S, _LONGER_S = 0.3, 1.5
 _LEAST_SEEN = 0.9
 _LEAST_SEEN_TO_END, _FEWEST_CYCLES = 0.8, 10
@@ -45,23 +45,23 @@ _DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
 
 
 def refuse_what_cannot_be_followed(config: BenchConfig, references: Iterable[Trajectory]) -> None:
-    """Hold every reference of a run against the bench's limits before anything is opened or moved.
+    """Check every reference of a run against the bench's limits before anything is opened or moved.
 
     Raises:
-        TrajectoryError: with the first offending time and value.
+        TrajectoryError: a limit is exceeded; names the first time and value.
     """
     for trajectory in references:
         check(trajectory, geometry_of(config).projection(), motion_limits(config))
 
 
 def stand(bench: Bench, duration_s: float = 0.5) -> Array:
-    """Take hold of the wall and return where the robot stands, (3,)."""
+    """Enable the hold on the wall; return the pose of the standing robot, (3,)."""
     bench.rig.actuators().enable()
     return bench.settle(duration_s)
 
 
 def tracking_errors(motion: Motion) -> dict[str, float]:
-    """Truth (motion capture) against reference: errors in mm and deg, ends after the hold.
+    """Return errors of the truth (motion capture) against the reference, in mm and deg; ends after the hold.
 
     Keys: `rmse_x`, `rmse_y`, `rmse_heading` over the motion, `worst` (distance), `end_x`, `end_y`,
     `end_heading` (truth minus reference), `saturated_s`, `steering_travel` (rad, mean of the wheels), `seen`
@@ -111,12 +111,12 @@ _KEYS = (
 
 
 def must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> None:
-    """Raise `DataError` unless most cycles (n,) are known, and some of the last tenth: no guess at the end.
+    """Raise `DataError` unless most cycles (n,) have data, and some of the last tenth of them.
 
     Args:
-        known: cycles.
-        has: what was there in them.
-        of: what they are of.
+        known: which cycles have data.
+        has: name of the data, for the message.
+        of: name of the interval, for the message.
     """
     ended = _end_is_known(known)
     if len(known) < _FEWEST_CYCLES or np.mean(known) < _LEAST_SEEN_TO_END or not ended:
@@ -129,7 +129,7 @@ def must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> None
 
 
 def _end_is_known(known: NDArray[np.bool_]) -> bool:
-    """Whether some of the last tenth of cycles (n,) are known."""
+    """Whether some of the last tenth of cycles (n,) have data."""
     return bool(np.any(known[-max(len(known) // 10, 1) :]))
 
 
@@ -138,11 +138,11 @@ def _seen(motion: Motion) -> NDArray[np.bool_]:
 
 
 def watched_to_a_seen_end(bench: Bench, motion: Motion) -> Motion:
-    """The rest, watched on for up to `_LONGER_S` until motion capture sees the robot again.
+    """Extend a rest by up to `_LONGER_S`, until motion capture sees the robot at its end.
 
     Args:
-        bench: on which the robot still stands.
-        motion: of the rest up to now.
+        bench: bench with the robot still at rest.
+        motion: the rest so far.
     """
     for _ in range(round(_LONGER_S / _END_S)):
         if _end_is_known(_seen(motion)):
@@ -152,7 +152,7 @@ def watched_to_a_seen_end(bench: Bench, motion: Motion) -> Motion:
 
 
 def moved_at_rest(motion: Motion) -> float:
-    """How far the robot moved while it should have stood, m."""
+    """Return how far the robot moved while it should have stood still, m."""
     truth, known = motion.mocap, _seen(motion)
     must_be_seen_to_its_end(known, "motion capture", "the time that the robot stands")
     truth = truth[known]
@@ -160,21 +160,21 @@ def moved_at_rest(motion: Motion) -> float:
 
 
 def unseen(errors: Mapping[str, float]) -> str:
-    """What `tracking_errors` could not tell for want of motion capture, in a sentence; empty for nothing."""
-    said = []
+    """Return a sentence about errors that lack motion capture data; empty if there are none."""
+    parts = []
     if errors["seen"] < _LEAST_SEEN:
-        said.append(
+        parts.append(
             f"saw {100.0 * errors['seen']:.0f} % of the motion (RMSE needs {100.0 * _LEAST_SEEN:.0f} %)"
         )
     if math.isnan(errors["end_x"]):
-        said.append(f"did not see its last {_END_S:g} s (errors at the end need them)")
-    if not said:
+        parts.append(f"did not see its last {_END_S:g} s (errors at the end need them)")
+    if not parts:
         return ""
-    return f"motion capture {' and '.join(said)}. Look at its cameras, and drive again."
+    return f"motion capture {' and '.join(parts)}. Look at its cameras, and drive again."
 
 
 def series(motion: Motion) -> dict[str, Any]:
-    """Time, reference, truth and estimate, thinned, as JSON values; the largest errors stay."""
+    """Return time, reference, truth and estimate as JSON values, thinned; the largest errors are kept."""
     errors = np.hstack([motion.mocap - motion.reference, motion.estimate - motion.mocap])
     errors[:, [2, 5]] = wrap_array(errors[:, [2, 5]])
     rows = kept_rows(*errors.T, most=2 * MOST_POINTS)
@@ -184,9 +184,9 @@ def series(motion: Motion) -> dict[str, Any]:
 
 
 def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
-    """Where the robot went, by feedback, beside the reference; X up the wall, Y to the left.
+    """Draw the path for each feedback, and the reference; X up the wall, Y to the left.
 
-    What a line's reference hardly moves in is enlarged, in mm below 5 cm.
+    An axis along which the reference hardly moves is enlarged, in mm below 5 cm.
     """
     first = next(iter(runs.values()))["reference"]
     extent = [np.ptp(np.array(first[k], dtype=np.float64)) for k in range(2)]
@@ -204,18 +204,18 @@ def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
 
 
 def belief_figure(runs: dict[str, dict[str, Any]]) -> Figure:
-    """Estimate minus truth in x, y and heading against time: what each feedback believes wrongly."""
+    """Draw estimate minus truth in x, y and heading over time, for each feedback."""
     return _differences(runs, "estimate", "truth")
 
 
 def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, length_m: float) -> Figure:
-    """Seen cells (along X, along Y) of a scanned rectangle from its corner `start`, and the paths.
+    """Draw the seen cells of a scanned rectangle from its corner `start`, and the paths.
 
     Args:
         runs: name of the feedback to its `series`.
         seen: (along X, along Y), whether a cell was seen.
         start: (3,) pose at the rectangle's corner, wall frame.
-        length_m: of the rectangle along X.
+        length_m: length of the rectangle along X.
     """
     from matplotlib.colors import ListedColormap
 
@@ -239,7 +239,7 @@ def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, 
 
 
 def error_figure(runs: dict[str, dict[str, Any]]) -> Figure:
-    """Truth minus reference in x, y and heading against time, all feedbacks together."""
+    """Draw truth minus reference in x, y and heading over time, all feedbacks together."""
     return _differences(runs, "truth", "reference")
 
 

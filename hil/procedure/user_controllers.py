@@ -1,4 +1,4 @@
-"""Controllers of the user's own for a bench: classes or functions, `FILE.py:NAME` or `MODULE:NAME`."""
+"""Loads the user's own controllers for a bench: classes or functions, `FILE.py:NAME` or `MODULE:NAME`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _OPTION, _PARTS = "--controller", ("reset", "update")
 
 
 def check_named(named: str) -> None:
-    """Load what is named, before anything is opened; a shipped law needs no loading.
+    """Check that a named controller can be loaded, before anything is opened; or is a shipped control law.
 
     Raises:
-        UsageError: neither a law nor a name of one's own.
-        ConfigError: no such file, module or name, or one that fails.
+        UsageError: neither a shipped law nor a name with a colon.
+        ConfigError: no such file, module or name, or loading fails.
     """
     if named in LAWS:
         return
@@ -33,10 +33,10 @@ def check_named(named: str) -> None:
 
 
 def make_own(named: str, bench: BenchModel) -> Controller:
-    """A controller; NAME is called with the bench's model if it takes an argument, else with none.
+    """Make a controller: call NAME with the bench's model if it takes an argument, else without.
 
     Raises:
-        ConfigError: as `check_named`; or NAME fails, or makes something without `reset` and `update`.
+        ConfigError: as `check_named`; or NAME fails, or its result lacks `reset` or `update`.
     """
     what = "reset(), and update(state, reference, wheels) that returns a WheelSetpoint"
     return cast("Controller", make_named(named, _OPTION, _PARTS, bench, expected=what))

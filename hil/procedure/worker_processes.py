@@ -1,7 +1,7 @@
-"""Worker processes of a procedure: Ctrl-C is left to the one that started them, and they end with it.
+"""Worker processes of a procedure: they ignore Ctrl-C, and end with the process that started them.
 
-A worker takes seconds to start: it imports, and loads machine code. What drives several rounds keeps its
-`Workers` for all of them; every job has a bench of its own, so that none knows of the jobs before it.
+A worker takes seconds to start, because it imports modules and loads machine code. A procedure with several
+rounds reuses its `Workers`; every job has its own bench, so that jobs are independent.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ Result = TypeVar("Result")
 
 
 class Workers:
-    """Processes that are started when the first jobs come, and end with the block that they are used in.
+    """Processes that start with the first jobs, and end with the `with` block.
 
     Args:
-        processes: how many.
+        processes: number of processes.
     """
 
     def __init__(self, processes: int) -> None:
@@ -39,11 +39,11 @@ class Workers:
             self._pool = None
 
     def at_once(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-        """Results of jobs in their order, worked on by all processes.
+        """Yield the results of jobs in order, computed by all processes.
 
         Args:
-            work: a function of a module, to be called in another process.
-            jobs: what can be sent there.
+            work: a module-level function, called in another process.
+            jobs: its arguments; must be picklable.
         """
         if not jobs:
             return iter(())
@@ -53,5 +53,5 @@ class Workers:
 
 
 def _begin() -> None:
-    """The first that a worker does: what its jobs need is imported afterwards."""
+    """Initialise a worker: ignore SIGINT before any import."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""The pytest plugin: a bench, its world, clock and loop as fixtures, on emulated devices or real ones.
+"""The pytest plugin: a bench, its world, clock and loop as fixtures, with emulated or real devices.
 
 pytest loads this module in every run of an environment that has the package installed, so it imports
 nothing but pytest until a test asks for a bench. Without `--bench` every device is emulated: no
@@ -25,12 +25,12 @@ MARKERS = (
     'fault("imu", "stuck", at=2.0); seconds of bench time. Skipped where the device is real',
     "real_only: skip where a device is emulated",
     'controller(name, domain=None): a control law, FILE.py:NAME, MODULE:NAME or "ros2:TOPIC" drives every '
-    "trajectory of `bench`; of ROS 2 in this DDS domain, else that of ROS_DOMAIN_ID",
-    "opens_stand_ins: the real devices of the benches that this test opens by itself are no hardware, but "
-    "pseudo terminals, loopback or ports of an emulator: they are opened without --bench, too",
+    "trajectory of `bench`; ROS 2 uses this DDS domain, by default that of ROS_DOMAIN_ID",
+    "opens_stand_ins: the real devices of benches that this test opens itself are not hardware, but pseudo "
+    "terminals, loopback or ports of an emulator: they are also opened without --bench",
 )
 NOT_HELD = "not_held"
-"""Property of a test case whose robot should be held and is not: how far it went, and why."""
+"""Property of a test case whose robot lost the hold that it should have: how far it moved, and why."""
 _OPENED = pytest.StashKey["Bench"]()
 _PASSED = pytest.StashKey[bool]()
 _FAILED = pytest.StashKey[pytest.TestReport]()
@@ -41,11 +41,11 @@ pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck", "hil.pytest_plugin
 
 
 class NotHeldWarning(pytest.PytestWarning):
-    """A test without faults has left an emulated robot on its wall, and it is not held."""
+    """A test without faults has left an emulated robot on its wall without hold."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--bench`, `--emulate`, `--hil-seed`, `--hil-realtime`, `--hil-keep`, and the ini key `hil_bench`."""
+    """Add the options `--bench`, `--emulate`, `--hil-*`, and the ini key `hil_bench`."""
     group = parser.getgroup("hil", "hardware in the loop")
     group.addoption(
         "--bench", metavar="FILE", help="bench file or profile; its real devices are used as they are"
@@ -105,7 +105,7 @@ def _devices(text: str) -> str:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Describe the markers; from now on refuse real devices that the command line does not name."""
+    """Register the markers; from now on reject real devices that the command line does not name."""
     from hil.core.opened_benches import guarded_by
 
     for line in MARKERS:
@@ -123,7 +123,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Refuse a wrong bench file, and a real bench shared by several processes, before anything runs."""
+    """Before any test, reject an invalid bench file, and a real bench shared by several processes."""
     if _named(session.config):
         from hil.pytest_plugin.bench_selection import check_session
 
@@ -136,7 +136,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session: pytest.Session) -> bool | None:
-    """Look for blind spots where that is asked for; otherwise pytest's own loop runs."""
+    """Search for blind spots if requested; otherwise return None to run pytest's own loop."""
     options = session.config.option
     if not options.hil_blind_spots or options.collectonly or session.testsfailed:
         return None
@@ -147,7 +147,7 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """The robots that are not held, what is kept of failed tests, and the table of blind spots."""
+    """Print robots that are not held, files kept of failed tests, and the table of blind spots."""
     _tell_lost(terminalreporter)
     _tell_kept(terminalreporter)
     session = terminalreporter._session
@@ -160,13 +160,13 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 
 def _ended(reporter: Any) -> list[pytest.TestReport]:
-    """The last reports of all tests."""
+    """Return the last report of every test."""
     reports = [one for some in reporter.stats.values() for one in some]
     return [report for report in reports if getattr(report, "when", "") == "teardown"]
 
 
 def _tell_lost(reporter: Any) -> None:
-    """The tests that have left a robot that should be held and is not; one that was run again is one."""
+    """Print the tests that left a robot without the hold it should have; list a repeated test once."""
     ended = _ended(reporter)
     lost = {r.nodeid: value for r in ended for name, value in r.user_properties if name == NOT_HELD}
     if lost:
@@ -176,7 +176,7 @@ def _tell_lost(reporter: Any) -> None:
 
 
 def _tell_kept(reporter: Any) -> None:
-    """The files that are kept of failed tests."""
+    """Print the files kept of failed tests."""
     kept = dict.fromkeys(line for r in _ended(reporter) for line in getattr(r, "hil_kept", ()))
     if kept:
         reporter.section("kept of failed tests")
@@ -189,7 +189,7 @@ def _named(config: pytest.Config) -> bool:
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
-    """The bench, where one was named."""
+    """Return a line about the bench, if one was named."""
     if not _named(config):
         return None
     from hil.pytest_plugin.bench_selection import describe
@@ -199,7 +199,7 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip what this bench cannot do, and say why."""
+    """Skip a test that this bench cannot run, with the reason."""
     if any(item.get_closest_marker(name) for name in ("needs", "fault", "real_only", "controller")):
         from hil.pytest_plugin.bench_selection import skip_where_impossible
 
@@ -208,7 +208,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
-    """See every bench that is opened during a test."""
+    """Register every bench that is opened during a test."""
     from hil.core.opened_benches import shown_to
 
     def opened(found: Bench) -> None:
@@ -226,7 +226,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
-    """Say with a failure how to have it again; at the end report what the test has opened and left."""
+    """Add to a failure how to repeat it; at teardown report the benches of the test and their state."""
     outcome = yield
     report = outcome.get_result()
     opened = item.stash.get(_OPENED, None)
@@ -243,7 +243,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 
 
 def _end(item: pytest.Item, report: pytest.TestReport) -> None:
-    """Put into the last report of a test which benches it has opened itself, and what is kept of it."""
+    """Add to the last report of a test the benches that it opened itself, and its kept files."""
     if item.config.stash.get(_SEES, False):
         from hil.pytest_plugin.benches_of_tests import end_test
 
@@ -255,7 +255,7 @@ def _end(item: pytest.Item, report: pytest.TestReport) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Finish what is still recorded."""
+    """Finish recordings that are still open."""
     if session.config.stash.get(_SEES, False):
         from hil.pytest_plugin.benches_of_tests import end_session
 
@@ -264,9 +264,9 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
-    """An opened bench of its own for every test: fresh world, devices open, held and closed at the end.
+    """An open bench for each test: new world, devices open; at the end the robot is held, the bench closed.
 
-    Then the report says how the robot was left.
+    The report of the test then contains how the robot was left.
     """
     from hil.pytest_plugin.bench_selection import opened
     from hil.pytest_plugin.test_outcome import end
@@ -281,7 +281,7 @@ def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
 
 @pytest.fixture
 def world(bench: Bench) -> World:
-    """The emulated world of `bench`; skipped where it does not live in this process."""
+    """The emulated world of `bench`; skips the test if the world is not in this process."""
     if bench.world is None:
         pytest.skip(f"bench {bench.config.name}: the world is not in this process (real or at the wire)")
     return bench.world
@@ -289,13 +289,13 @@ def world(bench: Bench) -> World:
 
 @pytest.fixture
 def clock(bench: Bench) -> Clock:
-    """The clock of `bench`: virtual where everything is emulated in this process."""
+    """The clock of `bench`: virtual if everything is emulated in this process."""
     return bench.clock
 
 
 @pytest.fixture
 def loop(bench: Bench) -> ControlLoop:
-    """A control loop over `bench` that reads, estimates and commands nothing."""
+    """A control loop over `bench` that reads and estimates, but sends no commands."""
     from hil.recording.runs import RunStart
 
     feedback = "ekf"

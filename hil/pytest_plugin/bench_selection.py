@@ -1,4 +1,4 @@
-"""Selects the bench of a test, skips it where it cannot run there, and fills its entry in the report."""
+"""Selects the bench of a test, skips the test if the bench cannot run it, and fills its report entry."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SOURCE = pytest.StashKey[BenchSource]()
 
 
 def source_of(config: pytest.Config) -> BenchSource:
-    """The bench of a session: `--bench` as it is, else the ini key or the shipped profile, all emulated."""
+    """Return the session's bench: `--bench` as given, else ini key or shipped profile, all emulated."""
     found = config.stash.get(_SOURCE, None)
     if found is None:
         given = config.getoption("bench")
@@ -43,12 +43,12 @@ def source_of(config: pytest.Config) -> BenchSource:
 
 
 def use_source(config: pytest.Config, source: BenchSource) -> None:
-    """Let tests that begin from now on have another bench."""
+    """Set another bench for tests that begin from now on."""
     config.stash[_SOURCE] = source
 
 
 def check_session(config: pytest.Config) -> None:
-    """Raise `pytest.UsageError` for a bench that cannot be read or be shared by xdist's workers."""
+    """Raise `pytest.UsageError` if a bench cannot be read, or cannot be shared by xdist's workers."""
     if hasattr(config, "workerinput"):
         return
     try:
@@ -63,15 +63,15 @@ def check_session(config: pytest.Config) -> None:
 
 
 def refuse_unnamed(config: pytest.Config, given: str | Path | BenchConfig, wanted: BenchConfig) -> None:
-    """Refuse a bench with real devices that the command line does not name.
+    """Reject a bench with real devices that the command line does not name.
 
     Args:
-        config: of the session.
-        given: file, profile or configuration that the bench is asked for by.
-        wanted: the configuration that comes of it.
+        config: configuration of the session.
+        given: file, profile or configuration with which the bench is requested.
+        wanted: the resulting configuration.
 
     Raises:
-        UsageError: a device of it is real, and not one of those that `--bench` and `--emulate` leave real.
+        UsageError: a device is real, but not among those that `--bench` and `--emulate` leave real.
     """
     real = [name for name in wanted.devices() if name not in wanted.emulated()]
     if not real:
@@ -103,7 +103,7 @@ def refuse_unnamed(config: pytest.Config, given: str | Path | BenchConfig, wante
 def _same(
     given: str | Path | BenchConfig, wanted: BenchConfig, source: BenchSource, real: Sequence[str]
 ) -> bool:
-    """Whether a bench is asked for by the file of the session, or has its tables of the real devices."""
+    """Whether a bench is requested by the session's file, or has the same tables for the real devices."""
     if isinstance(given, BenchConfig) or isinstance(source.bench, BenchConfig):
         ours, theirs = source.config.devices(), wanted.devices()
         return all(name in ours and ours[name] == theirs[name] for name in real)
@@ -111,12 +111,12 @@ def _same(
 
 
 def in_several_processes(config: pytest.Config) -> bool:
-    """Whether xdist hands the tests to processes of their own (`-n`, or `--dist` with `--tx`)."""
+    """Whether xdist runs the tests in several processes (`-n`, or `--dist` with `--tx`)."""
     return config.pluginmanager.has_plugin("dsession")
 
 
 def describe(config: pytest.Config) -> str:
-    """One line about the bench for the head of the terminal report."""
+    """Return one line about the bench for the head of the terminal report."""
     source = source_of(config)
     emulated = ", ".join(source.config.emulated()) or "none"
     real = ", ".join(source.real) or "none"
@@ -124,7 +124,7 @@ def describe(config: pytest.Config) -> str:
 
 
 def properties(source: BenchSource) -> list[tuple[str, object]]:
-    """Properties of a test case in JUnit XML, named as in the reports of procedures."""
+    """Return properties of a test case for JUnit XML, named as in the reports of procedures."""
     calibration = source.describe_calibration()
     return [
         ("bench", source.config.name),
@@ -137,7 +137,7 @@ def properties(source: BenchSource) -> list[tuple[str, object]]:
 
 
 def properties_of(bench: Bench) -> list[tuple[str, object]]:
-    """The same of a bench that a test has opened by itself, and how it has left the robot if it is closed."""
+    """Return the same for a bench that a test opened itself; if it is closed, also how it left the robot."""
     from hil.bench import describe_fault
 
     version = bench.calibration.rpartition(" version ")[2].partition(" ")[0]
@@ -152,7 +152,7 @@ def properties_of(bench: Bench) -> list[tuple[str, object]]:
 
 
 def skip_where_impossible(item: pytest.Item) -> None:
-    """Mark a test as skipped, with the reason, where the bench of the session cannot run it.
+    """Skip a test, with the reason, if the bench of the session cannot run it.
 
     Raises:
         pytest.fail.Exception: a marker is wrong.
@@ -167,7 +167,7 @@ def skip_where_impossible(item: pytest.Item) -> None:
 
 
 def _must_have_bench(item: pytest.Item) -> None:
-    """Refuse faults of a test that has no fixture `bench`: nothing would apply them."""
+    """Reject faults of a test without the fixture `bench`: nothing would apply them."""
     faults = faults_of(item)
     if "bench" in getattr(item, "fixturenames", ()):
         return
@@ -208,7 +208,7 @@ def _impossible(item: pytest.Item, source: BenchSource) -> str:
 
 @contextmanager
 def opened(item: pytest.Item) -> Generator[Bench, None, None]:
-    """The bench for one test, with the faults of its markers; its name goes into the test's report."""
+    """Open the bench for one test, with the faults of its markers; add its name to the test's report."""
     with ExitStack() as stack:
         with plainly():
             faults = tuple(faults_of(item))
@@ -222,7 +222,7 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
 
 
 def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
-    """What a reader of a failure needs to have it again."""
+    """Return what is needed to repeat a failure: bench, faults, time and command line."""
     config, options = item.config, [f"--hil-seed={bench.seed}"]
     for option, name in (("--bench", "bench"), ("--emulate", "emulate")):
         if given := config.getoption(name):
@@ -263,12 +263,12 @@ def _needed(item: pytest.Item) -> tuple[str, ...]:
 
 
 def _faults(item: pytest.Item) -> tuple[Fault, ...]:
-    """Faults of all markers of a test, the outermost first."""
+    """Return the faults of all markers of a test, the outermost first."""
     return tuple(_fault(mark) for mark in reversed(list(item.iter_markers("fault"))))
 
 
 def faults_of(item: pytest.Item) -> list[str]:
-    """The faults of a test as the command line writes them."""
+    """Return the faults of a test in the format of the command line."""
     from hil.bench import describe_fault
 
     return [describe_fault(fault) for fault in _faults(item)]
@@ -301,14 +301,14 @@ def _is_number(value: object) -> bool:
 
 
 def _written(mark: pytest.Mark) -> str:
-    """A marker as its author wrote it."""
+    """Return a marker as text, as its author wrote it."""
     given = [*map(repr, mark.args), *(f"{key}={value!r}" for key, value in mark.kwargs.items())]
     return f"{mark.name}({', '.join(given)})"
 
 
 @contextmanager
 def plainly() -> Generator[None, None, None]:
-    """Our own errors as one line: a traceback through the bench says nothing to the author of a test."""
+    """Report this package's errors as one line: a traceback through the bench does not help a test author."""
     try:
         yield
     except HilError as error:

@@ -1,7 +1,7 @@
-"""The benches that tests open: what the reports say of them, and what is kept of their recordings.
+"""Tracks the benches that tests open: their properties in reports, and their kept recordings.
 
-A bench may outlive the test that has opened it, in a fixture of a module or of the session. How it has left
-the robot is known once it is closed: that is in the report of the test at whose end this happens.
+A bench may outlive the test that opened it, in a fixture of a module or of the session. How it left the robot
+is known when it is closed, and is in the report of the test at whose end this happens.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class OpenedBench:
     """A bench that a test has opened.
 
     Attributes:
-        bench: itself.
-        recorder: what records it; None without `--hil-keep`.
+        bench: the bench.
+        recorder: its recorder; None without `--hil-keep`.
         failed: the first failure while it was open.
-        title: of its page: the test that failed, else the one that opened it.
-        reported: whether a report has its properties already.
+        title: title of its page: the test that failed, else the test that opened it.
+        reported: whether its properties are already in a report.
     """
 
     bench: Bench
@@ -43,7 +43,7 @@ class OpenedBench:
 
 
 def see(item: pytest.Item, bench: Bench) -> None:
-    """Take notice of a bench that a test opens, and have it recorded where that is asked for."""
+    """Register a bench that a test opens, and record it if requested."""
     seen = item.config.stash.setdefault(_OPENED, [])
     folder, recorder = item.config.getoption("hil_keep"), None
     if folder:
@@ -55,13 +55,13 @@ def see(item: pytest.Item, bench: Bench) -> None:
 def end_test(
     item: pytest.Item, report: pytest.TestReport, fixture: Bench | None, failed: pytest.TestReport | None
 ) -> None:
-    """Put into the last report of a test which benches it has opened or closed, and what is kept of them.
+    """Add to the last report of a test the benches that it opened or closed, and their kept files.
 
     Args:
         item: the test.
-        report: of its teardown.
-        fixture: its bench of the fixture `bench`, None without one.
-        failed: the report of the phase that failed first, None if the test has passed.
+        report: report of its teardown.
+        fixture: its bench from the fixture `bench`, None without one.
+        failed: report of the first failed phase, None if the test has passed.
     """
     seen = item.config.stash.get(_OPENED, [])
     groups = [[entry for entry in report.user_properties if entry[0] in _OF_A_BENCH]]
@@ -82,11 +82,11 @@ def end_test(
                 if name != "no page":
                     report.user_properties.append((name, text))
     if kept:
-        vars(report)["hil_kept"] = kept  # for the terminal, also from a worker of xdist
+        vars(report)["hil_kept"] = kept  # for the terminal summary, also from an xdist worker
 
 
 def _finished(one: OpenedBench, config: pytest.Config) -> Iterator[tuple[str, str]]:
-    """Kinds and paths of what is kept of a bench that is recorded."""
+    """Finish the recording of a bench; yield kinds and paths of the kept files."""
     assert one.recorder is not None
     facts = [f"{name.replace('_', ' ')}: {value}" for name, value in properties_of(one.bench)]
     return finish(one.recorder, one.title, facts, one.failed, config.invocation_params.dir)
@@ -95,12 +95,12 @@ def _finished(one: OpenedBench, config: pytest.Config) -> Iterator[tuple[str, st
 def _add(
     report: pytest.TestReport, groups: list[list[tuple[str, object]]], entries: Sequence[tuple[str, object]]
 ) -> None:
-    """Properties of one more bench, under names of its own; those of a bench that is there already once.
+    """Add the properties of a bench under separate names; do not repeat those of a bench already reported.
 
     Args:
-        report: of the test.
-        groups: the properties of each bench it has; this one's are added.
-        entries: those of this bench.
+        report: report of the test.
+        groups: properties of each reported bench; updated in place.
+        entries: properties of this bench.
     """
     for group in groups:
         has_held = any(name == "held" for name, _ in group)

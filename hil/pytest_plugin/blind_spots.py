@@ -1,8 +1,8 @@
-"""`pytest --hil-blind-spots`: the suite against robots broken on purpose; undetected faults are named.
+"""`pytest --hil-blind-spots`: runs the suite on robots with injected faults, and lists undetected ones.
 
-First the suite runs on the robot as it should be, and has to pass. Then every broken robot meets its tests,
-the quick ones first, until one fails: it has noticed. A breakage that no test notices is a blind spot. The
-session fails when there is one that matters.
+First the suite runs on the sound robot, and has to pass. Then it runs on every broken robot, quick modules
+first, until a test fails, which has then noticed the breakage. A breakage that no test notices is a blind
+spot. The session fails if there is a blind spot that matters.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
 
 AT_S = 1.0
-"""When a fault begins, s of the world: after the devices were opened, before anything has moved far."""
+"""World time at which a fault begins, s: after the devices were opened, before the robot has moved far."""
 _BORNE = ("drop", "corrupt", "truncate", "duplicate", "slow", "intermittent", "delayed")
 _BORNE_OF_SENSORS = (*_BORNE, "reset", "jump")
-"""What a bench is made to bear, of every device and of those that only sense: no test has to notice it."""
+"""Faults that a bench tolerates, of any device and of sensors: no test has to notice them."""
 _HARMFUL_OPTIONS = {"scale": 0.9, "offset_m": 0.1, "rate_rad_s": 0.1}
 FOUND = pytest.StashKey["list[BreakageResult]"]()
 
 
 @dataclass(frozen=True)
 class Breakage:
-    """One robot that is not as it should be.
+    """One way in which a robot is broken.
 
     Attributes:
-        name: in tables and for the choice on the command line.
+        name: name in tables and on the command line.
         faults: fault specs.
-        overrides: keys of the bench file to values.
-        matters: whether a suite that does not notice it lets a robot on a wall come to harm.
+        overrides: keys of the bench file -> values.
+        matters: whether a robot on a wall may come to harm if the suite does not notice it.
     """
 
     name: str
@@ -51,13 +51,13 @@ class Breakage:
     matters: bool = True
 
     def of(self, source: BenchSource) -> BenchSource:
-        """The same bench with this robot."""
+        """Return the same bench with this broken robot."""
         broken = source.changed(overrides=self.overrides)
         return replace(broken, faults=(*source.faults, *self.faults))
 
 
 def breakages(source: BenchSource) -> list[Breakage]:
-    """All that the emulated devices of a bench can have, and what a robot can have that they serve."""
+    """Return all faults of a bench's emulated devices, and possible defects of the robot itself."""
     from hil.bench.emulation import supported_faults
 
     config = source.config
@@ -81,7 +81,7 @@ def _borne(device: str) -> tuple[str, ...]:
 
 
 def _assembled(config: BenchConfig) -> Iterator[Breakage]:
-    """Put together in another way than the bench file says."""
+    """Yield robots that are assembled differently from the bench file."""
     if "servos" in config.emulated():
         yield Breakage("drive FL turns the other way", overrides=_sign(config, "drive"))
         yield Breakage("steering FL turns the other way", overrides=_sign(config, "steer"))
@@ -103,7 +103,7 @@ def _sign(config: BenchConfig, which: str) -> dict[str, object]:
 
 
 def _weaker(config: BenchConfig) -> Iterator[Breakage]:
-    """Strength that has gone."""
+    """Yield robots with reduced force or supply."""
     if config.environment.kind == "wall" and any(kinds()[name].holds_robot for name in config.emulated()):
         yield Breakage("the fan presses half as much", ("plant:adhesion_loss@1,factor=0.5",))
     if "servos" in config.emulated():
@@ -115,11 +115,11 @@ _CHOSEN = pytest.StashKey[list[Breakage]]()
 
 @dataclass(frozen=True)
 class BreakageResult:
-    """What became of one broken robot.
+    """Result for one broken robot.
 
     Attributes:
-        breakage: what was wrong with it.
-        by: the test that noticed; empty for a blind spot.
+        breakage: the breakage.
+        by: name of the test that noticed it; empty for a blind spot.
     """
 
     breakage: Breakage
@@ -127,7 +127,7 @@ class BreakageResult:
 
 
 def check_session(config: pytest.Config) -> None:
-    """Raise `pytest.UsageError` where robots cannot be broken: real devices, or several processes."""
+    """Raise `pytest.UsageError` for real devices or several processes, with which robots cannot be broken."""
     try:
         source = source_of(config)
         if source.real:
@@ -155,7 +155,7 @@ def _chosen(config: pytest.Config) -> list[Breakage]:
 
 
 def run(session: pytest.Session) -> None:
-    """The suite on the sound robot, then on every broken one; what was found goes to the session's stash."""
+    """Run the suite on the sound robot, then on every broken one; put the results in the session's stash."""
     config = session.config
     seconds = [_sound(session, item, after) for item, after in _pairs(session.items)]
     able = _quick_first(session.items, seconds)
@@ -179,7 +179,7 @@ def run(session: pytest.Session) -> None:
 
 
 def _sound(session: pytest.Session, item: pytest.Item, after: pytest.Item | None) -> float | None:
-    """Run a test as always; its duration with fixtures, s, or None where it was skipped."""
+    """Run a test normally; return its duration with fixtures, s, or None if it was skipped."""
     reports = runtestprotocol(item, nextitem=after, log=True)
     if session.shouldfail:
         raise session.Failed(session.shouldfail)
@@ -187,7 +187,7 @@ def _sound(session: pytest.Session, item: pytest.Item, after: pytest.Item | None
 
 
 def _quick_first(items: Sequence[pytest.Item], seconds: Sequence[float | None]) -> list[pytest.Item]:
-    """Tests that ran, module by module, because those of a module share fixtures."""
+    """Return the tests that ran, quickest module first: tests of a module stay together to share fixtures."""
     modules: dict[object, list[tuple[float, pytest.Item]]] = {}
     for item, duration in zip(items, seconds, strict=True):
         if duration is not None:
@@ -197,14 +197,14 @@ def _quick_first(items: Sequence[pytest.Item], seconds: Sequence[float | None]) 
 
 
 def _pairs(items: Sequence[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:
-    """Each test with the one that follows it."""
+    """Yield each test with the next one."""
     return zip(items, [*items[1:], None], strict=True)
 
 
 def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
-    """Name of the first test that fails."""
+    """Run tests until one fails; return its name, or an empty text."""
     for item, after in _pairs(items):
-        getattr(item, "_initrequest", lambda: None)()  # fixtures of the test are made anew
+        getattr(item, "_initrequest", lambda: None)()  # create the fixtures of the test again
         if any(report.failed for report in runtestprotocol(item, nextitem=after, log=False)):
             session._setupstate.teardown_exact(None)
             return item.nodeid
@@ -212,7 +212,7 @@ def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
 
 
 def summary(reporter: TerminalReporter, found: Sequence[BreakageResult]) -> None:
-    """The table: which breakages were noticed by which test, and which by none."""
+    """Print the table: which test noticed each breakage, and which breakages no test noticed."""
     blind = [seen for seen in found if not seen.by and seen.breakage.matters]
     tolerated = [seen for seen in found if not seen.by and not seen.breakage.matters]
     reporter.section("blind spots")

@@ -1,15 +1,15 @@
 """A ready-made test module: the device contract, on emulated and real devices.
 
-In a project of your own, a test module needs one line::
+In your own project, a test module needs one line::
 
     from hil.pytest_plugin.contract import *
 
-Each device of the bench is tested: that of the ini key `hil_bench`, or of `--bench`. Where all of it is
-emulated the suite runs twice, in virtual time and at the wire in real time; a bench with a real device is
-taken as it is. Nothing is commanded. The importing module may say which kinds are meant (`KINDS = ("imu",)`),
-name further models, each of which is tested in a bench that has it instead (`MODELS = (("imu", "my_imu"),)`),
-and set keys of the bench file for the tests at the wire (`OVERRIDES = {"servos.reply_slack_s": 0.02}`).
-Tests of its own can stand beside: their `bench` is the plugin's.
+It tests each device of the bench of `--bench` or of the ini key `hil_bench`. If all devices are emulated, the
+suite runs twice, in virtual time and at wire level in real time; a bench with a real device is used as it is.
+No commands are sent. The importing module may select kinds of devices (`KINDS = ("imu",)`), name further
+models, each of which is tested in place of the bench's own (`MODELS = (("imu", "my_imu"),)`), and set keys of
+the bench file for the tests at wire level (`OVERRIDES = {"servos.reply_slack_s": 0.02}`). It may also contain
+its own tests: their `bench` is the plugin's.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ Collect = Callable[[Any, float], list[Any]]
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Which devices of which bench, in which time."""
+    """Parametrise the tests by device, and by virtual or real time."""
     names = metafunc.fixturenames
     if "backend" not in names and "kind" not in names:
         return
@@ -78,15 +78,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "kind" not in names:
         metafunc.parametrize("backend", ways, scope="module")
         return
-    asked = [(way, kind) for way in ways for kind in present if {kind, base_of(kind)} & {*wanted}]
+    cases = [(way, kind) for way in ways for kind in present if {kind, base_of(kind)} & {*wanted}]
     if not real:
         further = getattr(module, "MODELS", ())
-        asked += [(f"{way} {kind}={model}", kind) for way in ways for kind, model in further]
-    metafunc.parametrize(("backend", "kind"), asked, scope="module")
+        cases += [(f"{way} {kind}={model}", kind) for way in ways for kind, model in further]
+    metafunc.parametrize(("backend", "kind"), cases, scope="module")
 
 
 def source_for(backend: str, config: pytest.Config, module: ModuleType) -> BenchSource:
-    """The bench of the session in virtual time, at the wire, or as it is; with another model where named."""
+    """Return the session's bench in virtual time, at wire level, or as it is; with another model if named."""
     source, (way, _, chosen) = source_of(config), backend.partition(" ")
     overrides = dict(source.overrides)
     if way == WIRE:
@@ -99,7 +99,7 @@ def source_for(backend: str, config: pytest.Config, module: ModuleType) -> Bench
 
 
 def opened(backend: str, request: pytest.FixtureRequest) -> Bench:
-    """The bench, closed; skipped where a driver needs an extra of this package that is not installed."""
+    """Return the bench, closed; skip if a driver needs an extra of this package that is not installed."""
     with plainly():
         try:
             return source_for(backend, request.config, request.module).open()
@@ -111,7 +111,7 @@ def opened(backend: str, request: pytest.FixtureRequest) -> Bench:
 
 @pytest.fixture(scope="module")
 def closed_bench(backend: str, request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
-    """A bench whose world runs and whose devices are still closed."""
+    """A bench with a running world and closed devices."""
     found = opened(backend, request)
     found.begin()
     yield found
@@ -120,7 +120,7 @@ def closed_bench(backend: str, request: pytest.FixtureRequest) -> Generator[Benc
 
 @pytest.fixture
 def device(closed_bench: Bench, kind: str) -> Generator[Any, None, None]:
-    """One opened device after the other."""
+    """Each device in turn, opened."""
     found = closed_bench.rig.get(kind)
     found.open()
     yield found
@@ -129,39 +129,39 @@ def device(closed_bench: Bench, kind: str) -> Generator[Any, None, None]:
 
 @pytest.fixture(scope="module")
 def collect(closed_bench: Bench) -> Collect:
-    """Read a device at the loop rate for a while."""
+    """A function that reads a device at the loop rate for some time."""
     return lambda device, duration_s: read_for(closed_bench, device, duration_s)
 
 
 @pytest.fixture(scope="module")
 def subject(closed_bench: Bench, backend: str, kind: str, request: pytest.FixtureRequest) -> Subject:
-    """One closed device after the other; what it delivers while it is watched is kept for all tests."""
+    """Each device in turn, closed; its recorded samples are shared by all tests."""
     virtual = backend.startswith(VIRTUAL)
     return Subject(closed_bench, kind, (lambda: opened(backend, request)) if virtual else None)
 
 
 def test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing(subject: Subject) -> None:
-    """Identity is text by text; closing twice is allowed."""
+    """An open device has an identity, text by text, a closed one has none; closing twice is allowed."""
     at_rest.says_what_it_is(subject)
 
 
 def test_it_can_be_opened_again(subject: Subject) -> None:
-    """After it was closed, and without being asked to, it delivers as before."""
+    """After it was closed, it delivers samples as before, without further commands."""
     at_rest.opens_again(subject)
 
 
 def test_reading_a_closed_device_is_a_named_error(subject: Subject) -> None:
-    """A `DeviceError` with the device's name."""
+    """Reading a closed device raises a `DeviceError` with the device's name."""
     at_rest.closed_is_a_named_error(subject)
 
 
 def test_samples_arrive_in_order_with_stamps_that_make_sense(subject: Subject) -> None:
-    """Nearly all samples that are due come, are good, and say when they were measured."""
+    """Nearly all due samples arrive, are good, and have a stamp of their measurement."""
     at_rest.samples_in_time(subject)
 
 
 def test_it_loses_next_to_nothing(subject: Subject) -> None:
-    """As many of the samples that are due are good as `bring_up` asks for, and it does not start over."""
+    """The share of good samples among due ones meets the limit of `bring_up`; the device does not restart."""
     loses_next_to_nothing(subject)
 
 
@@ -171,34 +171,34 @@ def test_a_robot_at_rest_is_seen_to_stand(subject: Subject) -> None:
 
 
 def test_no_data_is_never_a_number(subject: Subject) -> None:
-    """Samples are of their kind; arrays keep their shape; NaN stands for what was not received."""
+    """Samples have the right type; arrays keep their shape; NaN marks values that were not received."""
     at_rest.no_data_is_no_number(subject)
 
 
 def test_a_sample_is_delivered_once(subject: Subject) -> None:
-    """No two have the same time and number."""
+    """No two samples have the same time and sequence number."""
     at_rest.delivered_once(subject)
 
 
 def test_a_read_never_waits_for_the_next_sample(subject: Subject) -> None:
-    """A read takes what is there; two of twenty may be late because this computer was busy."""
+    """A read returns available samples without waiting; two of twenty may be late on a busy computer."""
     at_rest.reads_do_not_wait(subject)
 
 
 def test_samples_are_recorded_bit_for_bit(subject: Subject) -> None:
-    """A recording gives back what was written; each topic has a message of every sample."""
+    """A recording returns exactly what was written; each topic has a message for every sample."""
     at_rest.recorded_bit_for_bit(subject)
 
 
 def test_the_same_seed_gives_the_same_samples(subject: Subject) -> None:
-    """The emulated device takes chance from the world's seed and from nowhere else."""
+    """An emulated device takes random numbers only from the world's seed."""
     if subject.anew is None:
         pytest.skip("in virtual time only")
     at_rest.same_seed_same_samples(subject)
 
 
 def test_each_declared_fault_changes_something(subject: Subject) -> None:
-    """Samples, an error, the motion of the robot: a fault that does nothing would pass every test."""
+    """A fault changes samples or the robot's motion, or raises an error; else it would pass every test."""
     if subject.anew is None:
         pytest.skip("in virtual time only")
     each_fault_acts(subject)
@@ -206,14 +206,14 @@ def test_each_declared_fault_changes_something(subject: Subject) -> None:
 
 @pytest.fixture(scope="module")
 def findings(backend: str, request: pytest.FixtureRequest) -> list[Finding]:
-    """What the doctor says of the bench; at the wire this computer's load would be among it."""
+    """Findings of the doctor; not at wire level, where they would include this computer's load."""
     if backend.startswith(WIRE):
         pytest.skip("in virtual time and on hardware only")
     return list(examine(opened(backend, request), watch_s=SHORT_S))
 
 
 def test_the_doctor_finds_no_failure(findings: list[Finding], kind: str) -> None:
-    """A healthy device passes what `hil doctor` asks of it."""
+    """A healthy device passes the checks of `hil doctor`."""
     own = [f for f in findings if f.device == kind]
     assert own, f"the doctor says nothing of {kind}"
     assert not [f for f in own if f.level == "failure"]

@@ -1,4 +1,4 @@
-"""The marker `controller`: what drives every trajectory of a test's bench."""
+"""The marker `controller`: selects the controller for every trajectory of a test's bench."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _PUBLISHERS = pytest.StashKey[dict[tuple["Network", str], "Ros2Publisher"]]()
 
 
 def driven(item: pytest.Item, source: BenchSource) -> BenchSource:
-    """The bench of a test, driven as its marker `controller` says.
+    """Return the bench of a test with the controller of its marker `controller`.
 
-    A participant on ROS 2 is kept until the session ends: its simulated time never steps back.
+    A ROS 2 participant is kept until the session ends, so that its simulated time never steps back.
 
     Raises:
         UsageError, ConfigError: the marker is wrong, or the controller cannot be used.
@@ -50,7 +50,7 @@ def driven(item: pytest.Item, source: BenchSource) -> BenchSource:
 
 
 def _publisher(config: pytest.Config, topic: str, bench: Ros2Config, domain: int | None) -> Ros2Publisher:
-    """The session's participant in a domain, for the program that publishes a topic."""
+    """Return the session's ROS 2 participant in a domain, which subscribes to the topic of a program."""
     if hasattr(config, "workerinput"):
         raise UsageError(
             f"marker controller({ROS2 + topic!r}): one program drives one robot at a time",

@@ -1,7 +1,7 @@
-"""What stays of a failed test: with `--hil-keep FOLDER` its recordings, and a page of each.
+"""Keeps the recordings of failed tests and a page of each, with `--hil-keep FOLDER`.
 
-Every bench that a test opens is recorded until it is closed. What was recorded while all tests passed is
-removed again.
+Every bench that a test opens is recorded until it is closed. A recording is removed if all tests passed
+meanwhile.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 
 def record(item: pytest.Item, bench: Bench, root: str, others: Sequence[Path]) -> McapRecorder:
-    """Have a bench recorded that a test opens.
+    """Start to record a bench that a test opens; return the recorder.
 
     Args:
         item: the test.
-        bench: of it, before its devices are opened.
-        root: folder of the session; the test gets one of its own in it.
-        others: recordings of this session that are not finished yet.
+        bench: its bench, before the devices are opened.
+        root: folder of the session; the test gets a subfolder.
+        others: unfinished recordings of this session.
     """
     folder = item.config.invocation_params.dir / root / _name(item.nodeid)
     if all(path.parent != folder for path in others):
@@ -47,22 +47,22 @@ def record(item: pytest.Item, bench: Bench, root: str, others: Sequence[Path]) -
 def finish(
     recorder: McapRecorder, title: str, facts: Sequence[str], failed: pytest.TestReport | None, start: Path
 ) -> Iterator[tuple[str, str]]:
-    """Keep or remove what was recorded of a bench that is over; yields kinds and paths of what is kept.
+    """Keep or remove the recording of a closed bench; yield kinds and paths of kept files.
 
     Args:
-        recorder: of the bench.
-        title: of the page.
-        facts: on the page: what the test is repeated with, and how it ended.
-        failed: the report of the phase that failed first, None if no test has failed.
-        start: folder that paths below it begin from.
+        recorder: recorder of the bench.
+        title: title of the page.
+        facts: texts on the page: how to repeat the test, and how it ended.
+        failed: report of the first failed phase, None if no test has failed.
+        start: folder to which paths below it are relative.
 
     Yields:
-        `recording` and `page` with a path; `no page` with the reason where none could be written.
+        `recording` and `page` with a path; `no page` with the reason if the page cannot be written.
     """
     recorder.close()
     if failed is None:
         recorder.path.unlink(missing_ok=True)
-        with suppress(OSError):  # another recording is in it
+        with suppress(OSError):  # the folder holds another recording
             recorder.path.parent.rmdir()
         return
     yield "recording", _path_of(recorder.path, start)
@@ -76,24 +76,24 @@ def finish(
 
 
 def _path_of(path: Path, start: Path) -> str:
-    """A path from the folder that pytest was started in, where it lies below that."""
+    """Return a path relative to the folder in which pytest was started, if it lies below it."""
     return str(path.relative_to(start) if path.is_relative_to(start) else path)
 
 
 def _name(nodeid: str) -> str:
-    """A folder's name: readable, and another one for every test."""
+    """Return a readable folder name that is unique for each test."""
     return f"{slug(nodeid.rpartition('/')[2])}-{hashlib.sha256(nodeid.encode()).hexdigest()[:6]}"
 
 
 def _sentence(failed: pytest.TestReport) -> str:
-    """Where and how a test failed, on one line."""
+    """Return where and how a test failed, on one line."""
     crash = getattr(failed.longrepr, "reprcrash", None)
     text = failed.longreprtext if crash is None else f"{crash.path}:{crash.lineno}: {crash.message}"
     return text.strip().partition("\n")[0]
 
 
 def _write_page(page: Path, recording: Path, title: str, facts: Sequence[str], sentence: str) -> None:
-    """The page of the longest run in a recording, as it was estimated then.
+    """Write the page of the longest run in a recording, with its recorded estimates.
 
     Raises:
         DataError: the recording holds no cycle, or the page cannot be written.

@@ -1,14 +1,13 @@
-"""A ready-made test module: watches a bench at rest for 15 s and judges every device.
+"""A ready-made test module: observes a bench at rest for 15 s and tests every device.
 
-In a project of your own, `tests/test_bench.py` needs one line::
+In your own project, `tests/test_bench.py` needs one line::
 
     from hil.pytest_plugin.selfcheck import *
 
-The servos are enabled where they stand, so that a robot on a wall holds itself; nothing is commanded
-and nothing turns. `WATCH_S = 5.0` in the importing module makes it shorter. Which bench is watched is
-said by `--bench`, as for every test. In real time a loop that does nothing runs for a third of that time
-before and after: late cycles are held against its own, so that they tell about the bench and not about
-what else the computer does.
+The servos are enabled at their current angles, so that a robot on a wall holds itself; nothing is commanded
+and nothing turns. `WATCH_S = 5.0` in the importing module shortens the observation. `--bench` selects the
+bench, as for every test. In real time an idle loop runs for a third of that time before and after: late
+cycles are compared with its own, so that they show delays of the bench and not the load of the computer.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ __all__ = [
 
 WATCH_S = 15.0
 SETTLING_NS = nanoseconds(0.5)
-"""So long at the start a camera may be unsure."""
+"""Time at the start in which a camera may report low confidence."""
 GOOD_SHARE, RATE_SHARE = 0.98, 0.85
 REST_RAD, REST_M, REST_HEADING_RAD = 0.02, 0.01, 0.02
 SUPPLY_V, HOT_C = (10.0, 16.8), 70.0
@@ -66,7 +65,7 @@ HORN_RAD = 0.1
 
 @dataclass(frozen=True)
 class Watch:
-    """A bench, what it delivered at rest, and how punctual idle loops were before and after."""
+    """A bench, its samples at rest, and the punctuality of idle loops before and after."""
 
     bench: Bench
     motion: Motion
@@ -75,11 +74,11 @@ class Watch:
 
     @property
     def duration_s(self) -> float:
-        """Time watched, s."""
+        """Observed time, s."""
         return float(self.motion.t_s[-1])
 
     def samples(self, device: str) -> list[Any]:
-        """All samples of a device in order; skips the test where the bench lacks the device."""
+        """Return all samples of a device in order; skip the test if the bench lacks the device."""
         if not self.bench.has(device):
             pytest.skip(f"bench {self.bench.config.name} has no {device}")
         return [sample for record in self.motion.records for sample in record.inputs.of(device)]
@@ -87,7 +86,7 @@ class Watch:
 
 @pytest.fixture(scope="module")
 def watched(request: pytest.FixtureRequest) -> Watch:
-    """The bench of the session, watched once for all tests of the module."""
+    """The bench of the session, observed once for all tests of the module."""
     source, watch_s = source_of(request.config), float(getattr(request.module, "WATCH_S", WATCH_S))
     with plainly():
         idle = idle_for(source, watch_s * IDLE_SHARE)
@@ -102,7 +101,7 @@ def watched(request: pytest.FixtureRequest) -> Watch:
 
 
 def idle_for(source: BenchSource, seconds: float) -> tuple[LoopStatistics, ...]:
-    """Punctuality of a loop that does nothing, at the bench's rate; empty in virtual time: never late."""
+    """Measure the punctuality of an idle loop at the bench's rate; empty in virtual time (never late)."""
     if source.virtual:
         return ()
     return (contract.idle_for(source.config, seconds),)
@@ -110,7 +109,7 @@ def idle_for(source: BenchSource, seconds: float) -> tuple[LoopStatistics, ...]:
 
 @pytest.fixture(autouse=True)
 def _bench_in_results(request: pytest.FixtureRequest) -> None:
-    """Bench, calibration version and seed beside every result."""
+    """Add bench, calibration version and seed to every result."""
     if "watched" in request.fixturenames:
         request.node.user_properties.extend(properties(source_of(request.config)))
 
@@ -119,7 +118,7 @@ each_device = pytest.mark.parametrize("device", tuple(kinds()))
 
 
 def settling(samples: Sequence[Any]) -> int:
-    """How many samples at the start lack nothing but confidence: a camera settles."""
+    """Return how many samples at the start have low confidence as their only problem: a camera settles."""
     unsure = itertools.takewhile(
         lambda s: (
             worst(s) is Status.LOW_CONFIDENCE and s.stamp.host_ns - samples[0].stamp.host_ns < SETTLING_NS
@@ -130,7 +129,7 @@ def settling(samples: Sequence[Any]) -> int:
 
 
 def test_every_device_says_what_it_is(watched: Watch) -> None:
-    """Identity of each configured device, as read when it was opened."""
+    """Each configured device reported its identity when it was opened."""
     for device in watched.bench.config.devices():
         assert watched.identity.get(device), f"{device} has not identified itself"
 
@@ -147,7 +146,7 @@ def test_samples_come_at_their_rate_and_nearly_all_are_good(watched: Watch, devi
 
 @each_device
 def test_samples_come_in_order_and_in_time(watched: Watch, device: str) -> None:
-    """Times of measurement increase and are not old; otherwise look at the USB latency timer or network."""
+    """Stamps increase, and samples are not old; otherwise look at the USB latency timer or network."""
     good = [s for s in watched.samples(device) if worst(s) is Status.OK]
     assert good, f"{device} has not delivered a good sample"
     measured_ns = np.array([s.stamp.t_ns for s in good])
@@ -167,7 +166,7 @@ def test_nothing_turns(watched: Watch) -> None:
 
 
 def test_supply_and_temperature_are_safe(watched: Watch) -> None:
-    """Voltage and temperature as the servos report them."""
+    """Voltage and temperature that the servos report are within limits."""
     watched.samples("servos")
     health = [h for record in watched.motion.records for h in record.inputs.health]
     assert health, "the servos have not reported voltage and temperature"
@@ -190,7 +189,7 @@ def test_steering_encoders_and_servos_agree(watched: Watch) -> None:
 
 
 def test_gravity_and_rates_are_those_of_rest(watched: Watch) -> None:
-    """The inertial unit feels gravity and no rotation; otherwise look at its axis remap and calibration."""
+    """The inertial unit measures gravity, no rotation; otherwise look at its axis remap and calibration."""
     good = [s for s in watched.samples("imu") if s.status is Status.OK]
     gravity_m_s2 = np.linalg.norm(np.mean([s.gravity_m_s2 for s in good], axis=0))
     rate_rad_s = np.linalg.norm(np.mean([s.gyro_rad_s for s in good], axis=0))
@@ -199,7 +198,7 @@ def test_gravity_and_rates_are_those_of_rest(watched: Watch) -> None:
 
 
 def test_gravity_points_where_the_bench_file_says(watched: Watch) -> None:
-    """Down, as the inertial unit feels it, at the surface's tilt and the robot's heading."""
+    """Measured gravity agrees with the surface's tilt and the robot's heading."""
     config = watched.bench.config
     good = [s for s in watched.samples("imu") if s.status is Status.OK]
     felt = np.mean([s.gravity_m_s2 for s in good], axis=0)
@@ -216,7 +215,7 @@ def test_gravity_points_where_the_bench_file_says(watched: Watch) -> None:
 
 
 def test_the_estimate_stays_where_it_is(watched: Watch) -> None:
-    """Nothing drives the estimated pose of a robot at rest."""
+    """The estimated pose of a robot at rest does not drift."""
     watched.samples("servos")
     estimate = watched.motion.estimate
     apart = np.abs(estimate - estimate[0]).max(axis=0)
@@ -233,16 +232,16 @@ def test_the_loop_keeps_its_rate(watched: Watch) -> None:
 
 
 def worst_share(idle: tuple[LoopStatistics, ...]) -> float:
-    """Share of late cycles of the worst of some idle loops; 0 of none."""
+    """Return the largest share of late cycles among idle loops; 0 without loops."""
     return max((one.late / one.cycles for one in idle if one.cycles), default=0.0)
 
 
 def too_late(statistics: LoopStatistics, idle: tuple[LoopStatistics, ...]) -> str:
-    """Why a loop does not keep its rate, empty where it does.
+    """Return why a loop does not keep its rate; empty if it does.
 
     Args:
-        statistics: of the bench's loop.
-        idle: of idle loops around it; the worse one says what the computer's other work costs.
+        statistics: statistics of the bench's loop.
+        idle: statistics of idle loops around it; the worse one shows the load of the computer.
     """
     cycles = statistics.cycles
     excess = statistics.late - worst_share(idle) * cycles
@@ -260,7 +259,7 @@ def too_late(statistics: LoopStatistics, idle: tuple[LoopStatistics, ...]) -> st
 
 
 def test_the_robot_is_left_held(watched: Watch) -> None:
-    """Closed, the bench says HELD, or that the robot need not be."""
+    """After closing, the bench reports HELD, or that no hold is needed."""
     held = watched.bench.held
     assert not held.lost, str(held)
 

@@ -1,8 +1,8 @@
-"""Checks after a test how it has left its robot, and that the faults of its markers have acted.
+"""Checks after a test that its robot is held, and that the faults of its markers have acted.
 
-An emulated robot may be lost on purpose; a real one never. So a robot that should be held and is not is an
-error of the test where a device is real, and at the wire where no test asked for faults. In virtual time it
-is a warning, and with faults it only stands in the summary, in the report of the test and in JUnit XML.
+An emulated robot may be lost on purpose, a real one never. So a robot without the hold it should have is an
+error of the test if a device is real, and at wire level if no test requested faults. In virtual time it is a
+warning; with faults it is only listed in the summary, in the report of the test and in JUnit XML.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 
 def end(item: pytest.Item, bench: Bench, *, passed: bool) -> None:
-    """Say how a test has left its bench, which is closed.
+    """Report how a test has left its bench, which is closed.
 
     Args:
         item: the test.
-        bench: of it.
+        bench: its bench.
         passed: whether the test itself has passed.
 
     Raises:
-        pytest.fail.Exception: the robot is lost and must not be, or a test passed without its faults.
+        pytest.fail.Exception: the robot lost its hold and must not, or a test passed without its faults.
     """
     problems = [*_not_held(item, bench), *(_vacuous(item, bench) if passed else ())]
     if problems:

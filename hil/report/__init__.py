@@ -1,1 +1,1 @@
-"""Pages and figures that a person reads."""
+"""HTML pages and figures of results."""

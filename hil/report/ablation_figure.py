@@ -1,4 +1,4 @@
-"""Draws what each part of a robot's record is worth: ends of wall lines by the parts that were used."""
+"""Draws the effect of each part of a robot's record: end errors of wall lines by the parts that were used."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NOTHING, EVERYTHING = "nothing known", "everything known"
-"""The settings that every ablation has."""
+"""Settings that are part of every ablation."""
 
 
 def ablation_figure(table: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
-    """Bars of the distance from the goal, one row per setting, one colour per line.
+    """Draw bars of the distance from the goal: one row per setting, one colour per line.
 
     Args:
         table: setting -> line -> errors with `end_m`.

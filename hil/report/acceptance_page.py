@@ -17,14 +17,14 @@ def write_acceptance(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]
     """Write `accept.json`, and `accept.html` which names its SHA-256.
 
     Args:
-        folder: which need not exist.
-        summary: as `hil.procedure.acceptance.accept` returns it.
+        folder: created if it does not exist.
+        summary: result of `hil.procedure.acceptance.accept`.
 
     Returns:
-        The same with `page`, `data` and `folder`, the paths of what was written.
+        The summary with the paths `page`, `data` and `folder` of the written files.
 
     Raises:
-        DataError: they cannot be written; then neither is there.
+        DataError: a file cannot be written; then neither file is left.
     """
     text = (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode()
     page = (
@@ -50,7 +50,7 @@ def write_acceptance(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _sentence(stages: Sequence[Mapping[str, Any]]) -> str:
-    """How many checks there were, and how many of which devices want something done."""
+    """Return a summary: number of checks, and of failures and warnings with their devices."""
     findings = [finding for stage in stages for finding in stage["findings"]]
     wrong = []
     for level, word in (("failure", "failed"), ("warning", "with a warning")):
@@ -58,12 +58,12 @@ def _sentence(stages: Sequence[Mapping[str, Any]]) -> str:
         if devices:
             wrong.append(f"{len(devices)} {word} ({', '.join(dict.fromkeys(devices))})")
     if not wrong:
-        return f"All {len(findings)} checks came out right."
-    return f"Of {len(findings)} checks, {' and '.join(wrong)}; what to do stands below."
+        return f"All {len(findings)} checks passed."
+    return f"Of {len(findings)} checks, {' and '.join(wrong)}; see below what to do."
 
 
 def _counted(stage: Mapping[str, Any]) -> dict[str, Any]:
-    """A stage with how many of its checks came out how."""
+    """Return a stage with the number of its checks by outcome."""
     levels = [finding["level"] for finding in stage["findings"]]
     words = {"ok": "right", "warning": "warnings", "failure": "failed"}
     counted = ", ".join(f"{levels.count(k)} {word}" for k, word in words.items() if k in levels)

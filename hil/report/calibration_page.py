@@ -1,4 +1,4 @@
-"""The pages of an evaluation and of a calibration: what odometry is off by, before and after."""
+"""The pages of an evaluation and of a calibration: errors of odometry before and after."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Kind = tuple[Sequence[Track], str, str]
-"""Tracks that are drawn alike, their colour, their name."""
+"""Tracks of one kind, with their colour and name."""
 _DEG = math.degrees(1.0)
 _LENGTHS = 12
 _MOST_REACH = 6.0
-"""Of the frame of parameters, over what was found and allowed."""
+"""Largest axis range of the parameter figure, as a multiple of the found and allowed values."""
 _ALLOWED = {False: "how far off a part may be by its drawing", True: "how far the fit may go"}
 
 
@@ -36,17 +36,17 @@ def write_evaluation_page(
     table: Mapping[str, Any],
     notes: Sequence[str] = (),
 ) -> Path:
-    """Write figures and `index.html` of an error table; returns the page's path.
+    """Write figures and `index.html` of an error table; return the page's path.
 
     Args:
-        folder: to write into.
-        tracks: odometry of each recording as judged.
-        nominal: the same with nominal parameters; None when `tracks` are these.
+        folder: folder of the page.
+        tracks: evaluated odometry of each recording.
+        nominal: odometry with nominal parameters; None if `tracks` use them.
         table: the result of `hil evaluate`, JSON values.
-        notes: what has to be known of the calibration, a line each.
+        notes: remarks about the calibration, one line each.
 
     Raises:
-        DataError: they cannot be written.
+        DataError: a file cannot be written.
     """
     before = nominal if nominal is not None else tracks
     worst, row = max(table["motions"].items(), key=lambda m: float(m[1]["rmse_position_m"]))
@@ -72,10 +72,10 @@ def write_evaluation_page(
 
 
 def write_calibration_page(folder: Path, result: Calibration) -> Path:
-    """Write figures and `index.html` of a calibration; returns the page's path.
+    """Write figures and `index.html` of a calibration; return the page's path.
 
     Raises:
-        DataError: they cannot be written.
+        DataError: a file cannot be written.
     """
     setting = result.setting
     before = track_all(result.recordings, result.nominal, setting.model, setting.signal)
@@ -119,20 +119,20 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
 
 
 def _sentence(tables: tuple[Mapping[str, Any], Mapping[str, Any]], result: Calibration) -> str:
-    """What the calibration brings on the recordings that fit each other, and which do not."""
+    """Return a summary: improvement on the consistent recordings, and which recordings were left out."""
     first, then = (_mm(table["mean"]) for table in tables)
-    said = f"Calibration brings the mean position error of odometry from {first} to {then} mm (RMSE)"
+    text = f"Calibration brings the mean position error of odometry from {first} to {then} mm (RMSE)"
     unseen = result.validation.get("leave_one_repetition_out")
     if not unseen:
-        said += " on the recordings that it was fitted to."
+        text += " on the recordings that it was fitted to."
     else:
         mean = float(np.mean([row["rmse_position_m"] for row in unseen.values()]))
-        said += f"; on recordings that the fit did not see it is {1e3 * mean:.1f} mm."
+        text += f"; on recordings that the fit did not see it is {1e3 * mean:.1f} mm."
     bad = list(result.rejected)
     if bad:
         of = f"{len(bad)} of {len(bad) + len(result.recordings)} recordings"
-        said += f" Left out: {of}, {', '.join(bad)} (see the warnings)."
-    return said
+        text += f" Left out: {of}, {', '.join(bad)} (see the warnings)."
+    return text
 
 
 def _mm(row: Mapping[str, Any]) -> str:
@@ -144,7 +144,7 @@ def _words(motion: str) -> str:
 
 
 def _motion_figures(before: Sequence[Track], after: Sequence[Track] | None) -> list[Drawn]:
-    """Ends, position and heading errors, a picture per motion; errors, since paths lie on each other."""
+    """Draw end, position and heading errors for each motion; errors, because the paths would overlap."""
     kinds = [(before, SERIES[1], "before" if after is not None else "odometry")]
     kinds += [(after, SERIES[0], "after")] if after is not None else []
     return [
@@ -209,7 +209,7 @@ def _draw_heading(axes: Axes, kinds: Sequence[Kind]) -> None:
 
 
 def _parameters(result: Calibration) -> Drawn:
-    """What was found beside what was allowed; every interval ends in the frame or has an arrow there."""
+    """Draw found and allowed parameters; an interval that exceeds the axes ends in an arrow."""
     problem, z = result.fit.problem, result.fit.solution.z
     unit = np.where(np.arange(len(z)) < _LENGTHS, 0.01 * problem.sizes, np.radians(1.0))
     change = (z - problem.nominal) / unit

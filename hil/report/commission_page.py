@@ -1,6 +1,6 @@
-"""The page of a commissioning: what the robot does now, what is known of it, and how that was found.
+"""The page of a commissioning: accuracy of the robot, its known parameters, and how they were measured.
 
-And the page of a record by itself.
+Also the page of a record alone.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ FIGURE = "ablation.svg"
 
 
 def write_commission_page(folder: Path, summary: Mapping[str, Any], bench: str, now: str, seed: int) -> Path:
-    """Write `commission.html`; returns its path.
+    """Write `commission.html`; return its path.
 
     Args:
-        folder: of the commissioning.
-        summary: as `hil commission --json` prints it.
-        bench: its name.
+        folder: folder of the commissioning.
+        summary: output of `hil commission --json`.
+        bench: name of the bench.
         now: date and time, ISO 8601.
-        seed: of the emulated world.
+        seed: seed of the emulated world.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: the page cannot be written.
     """
     wall = summary["wall"]
     page = (
@@ -60,10 +60,10 @@ def write_commission_page(folder: Path, summary: Mapping[str, Any], bench: str, 
 
 
 def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:
-    """Write the page of a record; returns its path.
+    """Write the page of a record; return its path.
 
     Raises:
-        ConfigError, DataError: the record cannot be read, or the page not written.
+        ConfigError, DataError: the record cannot be read, or the page cannot be written.
     """
     file = record.read()
     parts = part_rows(file, today)
@@ -82,15 +82,15 @@ def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:
 
 
 def _known(parts: Sequence[Mapping[str, Any]]) -> str:
-    """How much of the robot is known, and what is out of date."""
+    """Return a sentence: how many parts of the robot are known, and which are out of date."""
     known = [row for row in parts if row["known"]]
     old = [row["title"] for row in known if row["out_of_date"]]
-    said = f"{len(known)} of {len(parts)} parts of the robot are known"
-    return f"{said}; out of date: {', '.join(old)}." if old else f"{said}, and none of them is out of date."
+    text = f"{len(known)} of {len(parts)} parts of the robot are known"
+    return f"{text}; out of date: {', '.join(old)}." if old else f"{text}, and none of them is out of date."
 
 
 def headline(wall: Mapping[str, Any]) -> str:
-    """One sentence: what the commissioning brought."""
+    """Return one sentence: the improvement by the commissioning."""
     if NOTHING not in wall or EVERYTHING not in wall:
         return ""
     ways = []

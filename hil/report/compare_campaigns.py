@@ -1,8 +1,8 @@
-"""Two campaigns over the same cases, case by case: is the second one better, and how sure is that?
+"""Compares two campaigns over the same cases, case by case: is the second better, with what confidence?
 
-Both met the same worlds, so the difference of each case is free of what the worlds differ in. That
-distinguishes two estimators or calibrations apart with far fewer runs than two averages would. What has a
-value in one campaign only makes no pair, and is named.
+Both used the same worlds, so the difference of each case does not contain the variation between worlds. This
+distinguishes two estimators or calibrations with far fewer runs than two averages would. A measurement with a
+value in only one campaign makes no pair, and is listed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class _Plan(BaseModel):
     make: dict[str, str] = {}
 
     def given(self) -> dict[str, str]:
-        """Option, file or package -> what it was."""
+        """Option, file or package -> its value."""
         given = {
             "SCRIPT": self.script,
             "--bench": self.bench,
@@ -60,9 +60,9 @@ class _Plan(BaseModel):
 
 
 def differences(first: Path, second: Path) -> list[dict[str, Any]] | None:
-    """What differs between the plans of two campaigns: `key`, and its `values` in both, a dash for none.
+    """Return differences between the plans of two campaigns: `key`, and its `values`, a dash for none.
 
-    None where a plan is missing or cannot be read.
+    None if a plan is missing or cannot be read.
     """
     plans = [_read_plan(folder) for folder in (first, second)]
     if plans[0] is None or plans[1] is None:
@@ -83,7 +83,7 @@ def _read_plan(folder: Path) -> _Plan | None:
 
 _SURE = 0.95
 _ROUNDING = 1e-9
-"""Share of a value: what two values differ by less is how they were rounded, no change of the robot."""
+"""Relative difference below which two values count as equal: it is rounding, not a change of the robot."""
 
 
 class _Part(BaseModel):
@@ -103,21 +103,21 @@ class _Row(_Part):
 
     @property
     def good(self) -> bool:
-        """Whether it kept its limits."""
+        """Whether the run kept its limits."""
         return self.verdict in PASSED
 
     @property
     def lost(self) -> bool:
-        """Whether it left no result."""
+        """Whether the run left no result."""
         return self.verdict == LOST
 
     @property
     def tested(self) -> bool:
-        """Whether it has a result, and all its faults have acted."""
+        """Whether the run has a result and all its faults have acted."""
         return not (self.lost or self.faults_not_begun)
 
     def value(self, name: str) -> float | None:
-        """Value of a measurement; None where it has none."""
+        """Return the value of a measurement; None without a value."""
         return self.measurements[name].value if name in self.measurements else None
 
 
@@ -133,21 +133,21 @@ def is_campaign(folder: Path) -> bool:
 
 
 def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
-    """Hold two campaigns against each other, case by case.
+    """Compare two campaigns case by case.
 
     Returns:
-        JSON values: `procedure`, `folders`, `differences` (option, file or package, and what it was in both;
-        None where that is not known), `cases` (in both), `only_first`, `only_second`, `not_tested` (cases in
-        both of which one was LOST, or a fault of it never acted: they are left out of what follows), `lost`
-        (those of them of which one was LOST), `verdicts` (cases that only one passed, with the p value of the
-        exact McNemar test), `measurements`: unit, pairs (cases with a value in both) `of` so many, medians,
+        JSON values: `procedure`, `folders`, `differences` (option, file or package, and its values in both;
+        None if not known), `cases` (in both), `only_first`, `only_second`, `not_tested` (cases in both where
+        one run was LOST or one of its faults never acted: they are left out below), `lost` (those of them
+        where one run was LOST), `verdicts` (cases that only one passed, with the p value of the exact McNemar
+        test), `measurements`: unit, number of pairs (cases with a value in both) `of` all cases, medians,
         mean difference (second minus first) with its 95 % interval (Student's t), p value of the Wilcoxon
         signed-rank test, and the differences by case; `missing`: cases
         without a value of a measurement, in the `first` and in the `second`.
 
     Raises:
-        DataError: a folder without the results of a campaign.
-        UsageError: campaigns of different procedures, or without a case in common.
+        DataError: a folder does not hold the results of a campaign.
+        UsageError: the campaigns have different procedures, or no case in common.
     """
     trees = [_read(folder) for folder in (first, second)]
     if trees[0].procedure != trees[1].procedure:
@@ -227,14 +227,14 @@ def _measurement(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any
 
 
 def _missing(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any] | None:
-    """Cases without a value, in the first and in the second; None where every case has both."""
+    """Return cases without a value in the first and in the second; None if every case has both values."""
     first = [a.case for a, _ in pairs if a.value(name) is None]
     second = [b.case for _, b in pairs if b.value(name) is None]
     return {"name": name, "first": first, "second": second} if first or second else None
 
 
 def campaigns_text(table: Mapping[str, Any]) -> str:
-    """The comparison for a terminal."""
+    """Return the comparison as text for a terminal."""
     one, two = table["verdicts"]["good"]
     untested, lost = len(table["not_tested"]), len(table["lost"])
     why = ", ".join(["a fault never acted"] * (untested > lost) + [f"{lost} {LOST}"] * bool(lost))
@@ -269,7 +269,7 @@ def write_campaigns_page(path: Path, table: Mapping[str, Any]) -> Path:
     """Write the page.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: the file cannot be written.
     """
     differing = [m for m in table["measurements"] if any(m["changes"].values())]
     figures = [{"name": m["name"], "image": _figure(m)} for m in differing]
@@ -283,13 +283,13 @@ def write_campaigns_page(path: Path, table: Mapping[str, Any]) -> Path:
 
 
 def _alike(measured: Mapping[str, Any]) -> str:
-    """A measurement that is the same in each of its pairs, and how many these are where a case makes none."""
+    """Return the name of a measurement that is equal in all pairs; with their number if cases lack one."""
     pairs, of = measured["pairs"], measured["of"]
     return str(measured["name"]) if pairs == of else f"{measured['name']} ({pairs} of {of} pairs)"
 
 
 def _figure(measured: Mapping[str, Any]) -> Markup:
-    """The difference of every case in order of its size, and the mean with its interval."""
+    """Draw the difference of every case, sorted by size, and the mean with its interval."""
     change = np.sort(list(measured["changes"].values()))
     figure = new_figure(5.2, 2.1)
     unit = measured["unit"].replace("$", r"\$")

@@ -1,4 +1,4 @@
-"""Several runs of one procedure side by side: which measurement changed, and by how much."""
+"""Compares several runs of one procedure: which measurement changed, and by how much."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hil.support.atomic_files import write_text
 
 _NAMED = 3
 _LINES = 8
-"""So many differences are named on the terminal."""
+"""Number of differences listed on the terminal."""
 _GIVEN = ("seed", "faults", "emulated", "calibration")
-"""Of a run, beside its parameters, configuration and versions."""
+"""Compared facts of a run, beside its parameters, configuration and versions."""
 _FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
 
 
 def compare(folders: Sequence[Path]) -> dict[str, Any]:
-    """Measurements of several runs.
+    """Compare the measurements and settings of several runs.
 
     Returns:
         JSON values: `procedure`, `runs` (facts by run), `measurements` (name, unit, values, outcomes,
@@ -29,8 +29,8 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
         parameters, configuration and versions that differ, with the value in each run.
 
     Raises:
-        DataError: a folder that holds no result.
-        UsageError: results of different procedures.
+        DataError: a folder does not hold a result.
+        UsageError: the results have different procedures.
     """
     trees = [read_result(f) for f in folders]
     names = sorted({t["procedure"] for t in trees})
@@ -91,7 +91,7 @@ def _differences(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _shown(value: Any) -> Any:
-    """Devices and faults in words; another value as it is."""
+    """Return devices and faults as text; any other value unchanged."""
     return ", ".join(map(str, value)) if isinstance(value, list) else value
 
 
@@ -103,7 +103,7 @@ def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
 
 
 def comparison_text(table: Mapping[str, Any]) -> str:
-    """The comparison for a terminal."""
+    """Return the comparison as text for a terminal."""
     lines = [f"{table['procedure']}: {len(table['runs'])} runs"]
     lines += [f"  [{k}] {r['verdict']:9} {r['folder']}" for k, r in enumerate(table["runs"], start=1)]
     for row in table["measurements"]:
@@ -122,22 +122,22 @@ def _change(row: Mapping[str, Any]) -> str:
 
 
 def _sentence(table: Mapping[str, Any]) -> str:
-    """Whether the last run came out other than the first, and what changed its outcome."""
+    """Return a summary: verdicts of the first and last run, and measurements whose outcome changed."""
     first, last = table["runs"][0], table["runs"][-1]
     turned = [row["name"] for row in table["measurements"] if row["outcomes"][0] != row["outcomes"][-1]]
-    said = f"{first['verdict']} in the first run, {last['verdict']} in the last."
+    text = f"{first['verdict']} in the first run, {last['verdict']} in the last."
     if not turned:
-        return f"{said} No measurement changed its outcome."
+        return f"{text} No measurement changed its outcome."
     more = f" and {len(turned) - _NAMED} more" if len(turned) > _NAMED else ""
     many = "1 measurement has" if len(turned) == 1 else f"{len(turned)} measurements have"
-    return f"{said} {many} another outcome: {', '.join(turned[:_NAMED])}{more}."
+    return f"{text} {many} another outcome: {', '.join(turned[:_NAMED])}{more}."
 
 
 def write_compare_page(path: Path, table: Mapping[str, Any]) -> Path:
     """Write the page.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: the file cannot be written.
     """
     page = (
         environment()

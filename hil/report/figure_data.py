@@ -1,7 +1,7 @@
-"""The data of a figure for its cross-hair: axes and series, thinned, kept inside the SVG file.
+"""The data of a figure for its cross-hair: axes and thinned series, stored inside the SVG file.
 
-A page draws these data again for a cross-hair and for enlarged parts. They are taken from the figure when it
-is saved, and checked when they come back, since a results folder may come from anywhere.
+A page draws these data again for a cross-hair and for enlarged parts. They are extracted when the figure is
+saved, and validated when they are read, since a results folder may come from an untrusted source.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ class _Part(BaseModel):
 
 
 class Scale(_Part):
-    """One side of axes: label with its unit, limits, the box of its tick labels, names instead of numbers."""
+    """One axis: label with unit, limits, the box of its tick labels, and names instead of numbers."""
 
     label: _Text
     limits: tuple[_Number, _Number]
     log: bool = False
     linear_below: _Number | None = None
-    """Of a symmetric logarithmic scale: where it is linear."""
+    """Linear range of a symmetric logarithmic scale."""
     strip: _Box | None = None
     names: Annotated[dict[_Text, _Text], Field(max_length=MOST_POINTS)] = {}
 
 
 class Curve(_Part):
-    """Points that belong together: drawn as a line or marks, read off where they have a name."""
+    """Points of one series: drawn as a line or marks; shown by the cross-hair if the series has a name."""
 
     name: _Text = ""
     colour: _Colour
@@ -64,7 +64,7 @@ class Curve(_Part):
     dashed: bool = False
     mark: bool = False
     across: bool = False
-    """Whether y counts and x is measured, as of bars that lie."""
+    """Whether x holds the values and y the positions, as for horizontal bars."""
 
 
 class Area(_Part):
@@ -77,7 +77,7 @@ class Area(_Part):
 
 
 class Readings(_Part):
-    """One pair of axes: box (left, top, width, height) in pt from the figure's corner, and what it holds."""
+    """One pair of axes: box (left, top, width, height) in pt from the figure's corner, and its contents."""
 
     title: _Text = ""
     box: _Box
@@ -94,7 +94,7 @@ class _Figure(_Part):
 
 
 def readings_of(figure: Figure) -> str:
-    """Readings of a figure that was just saved, as an element of SVG; empty where nothing can be read."""
+    """Return the readings of a figure that was just saved, as an SVG element; empty without readings."""
     try:
         axes = [Readings.model_validate(found) for found in _all_axes(figure)]
         text = as_json(_size_pt(figure), *axes)
@@ -104,13 +104,13 @@ def readings_of(figure: Figure) -> str:
 
 
 def as_json(size_pt: tuple[float, float], *axes: Readings) -> str:
-    """Readings of a figure of that width and height, as the page's script takes them."""
+    """Return the readings of a figure of this width and height, as JSON for the page's script."""
     whole = _Figure(size=size_pt, axes=list(axes))
     return json.dumps(whole.model_dump(exclude_defaults=True), separators=(",", ":"))
 
 
 def taken_out(svg: str) -> tuple[str, str]:
-    """An SVG without its readings, and these as JSON; empty where there are none, or none that are sound."""
+    """Split an SVG into drawing and readings (JSON); readings are empty if missing or invalid."""
     found = _KEPT.search(svg)
     if found is None:
         return svg, ""
@@ -145,14 +145,14 @@ def _all_axes(figure: Figure) -> Iterator[dict[str, Any]]:
 
 
 def _pictures(axes: Axes) -> list[Any]:
-    """What is a picture only: it cannot be drawn again from data."""
+    """Return artists that are images: they cannot be drawn again from data."""
     found = [*axes.images, *axes.collections, *axes.patches]
     arrows = [text for text in axes.texts if getattr(text, "arrow_patch", None) is not None]
     return [a for a in found if type(a).__name__ in _PICTURES] + arrows
 
 
 def _box(figure: Figure, extent: Any) -> tuple[float, float, float, float]:
-    """A box of the display as (left, top, width, height) in pt from the figure's upper left corner."""
+    """Convert a display box to (left, top, width, height) in pt from the figure's upper left corner."""
     per_px = 72.0 / figure.dpi
     height = 72.0 * float(figure.get_size_inches()[1])
     values = (per_px * extent.x0, height - per_px * extent.y1, per_px * extent.width, per_px * extent.height)
@@ -225,7 +225,7 @@ def _of_line(axes: Axes, line: Line2D) -> Iterator[dict[str, Any]]:
 
 
 def _of_bars(bars: Any) -> Iterator[dict[str, Any]]:
-    """Ends of bars: read off, and drawn by their areas."""
+    """Yield the ends of bars for readings; the bars themselves are drawn as areas."""
     if type(bars).__name__ != "BarContainer" or not len(bars):
         return
     lying = bars.orientation == "horizontal"
@@ -261,7 +261,7 @@ def _areas(axes: Axes) -> Iterator[dict[str, Any]]:
 def _in_data(
     axes: Axes, transform: Transform, points: Array
 ) -> tuple[list[float | None], list[float | None]]:
-    """Points (n, 2) of an artist in the axes' data, thinned; None where a line breaks."""
+    """Convert points (n, 2) of an artist to data coordinates, thinned; None where a line breaks."""
     if not len(points):
         return [], []
     points = np.ma.filled(np.ma.asarray(points, float), np.nan)
@@ -272,7 +272,7 @@ def _in_data(
 
 
 def _rounded(values: Array) -> list[float | None]:
-    """Values to what a reading needs; None for what is no number."""
+    """Round values to the precision of a reading; None for non-finite values."""
     known = values[np.isfinite(values)]
     span = float(np.ptp(known)) if len(known) else 0.0
     largest = float(np.abs(known).max()) if len(known) else 0.0

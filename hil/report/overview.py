@@ -1,4 +1,4 @@
-"""A page of results that are no run of a procedure: a sentence, warnings, figures, tables."""
+"""A page of results that are not a run of a procedure: a sentence, warnings, figures, tables."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a head of as many labels; `open` ones are not folded."""
+    """A table of text: `head` has one label per column; an `open` table is not folded."""
 
     title: str
     head: Sequence[str]
@@ -40,7 +40,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Overview:
-    """What a page says, in its order: `sentence` is what happened."""
+    """Contents of a page, in order; `sentence` summarises the result."""
 
     title: str
     sentence: str
@@ -51,19 +51,19 @@ class Overview:
 
 
 def write_overview(path: Path, page: Overview) -> Path:
-    """Write the page as one file; returns its path.
+    """Write the page as one file; return its path.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: the file cannot be written.
     """
     return write_text(path, _text(page, [drawn_image(d.figure, d.title, d.name) for d in page.figures]))
 
 
 def write_overview_folder(folder: Path, page: Overview) -> Path:
-    """Write `index.html` and each figure as SVG into a folder, all or nothing; returns the page's path.
+    """Write `index.html` and each figure as SVG into a folder, all or nothing; return the page's path.
 
     Raises:
-        DataError: they cannot be written.
+        DataError: a file cannot be written.
     """
     with staged(folder) as parts:
         files = [save_figure(d.figure, parts / f"{d.name}.svg") for d in page.figures]

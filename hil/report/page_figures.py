@@ -1,7 +1,7 @@
-"""Figures of a run as images of a page: they follow its theme and font, and can do nothing else.
+"""Embeds figures of a run as images of a page: they follow its theme and font, but run no script.
 
-A results folder may come from anywhere. As an `<img>` an SVG runs no script, loads nothing and follows no
-link, whatever it holds; only its drawing is shown. What can be read off it goes beside it as checked numbers
+A results folder may come from an untrusted source. As an `<img>`, any SVG is only drawn: it runs no script,
+loads nothing and follows no link. Its readings are added separately as validated numbers
 (`hil.report.figure_data`), for the page's own script.
 """
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _MOST_BYTES = 64 << 20
 _PX_PER_PT = 1.6
 _PT_PER_IN = 72.0
-"""Resolution of SVG, which matplotlib measures texts at."""
+"""Resolution of SVG, at which matplotlib measures texts."""
 _GAP_PT, _MOST_STEPS = 4.0, 9
 _INK, _DARK_INK = "#18181b", "#ececf0"
 _LIGHT = {
@@ -55,17 +55,17 @@ _DARK = {
 
 
 def save_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure as SVG that can be read off; the same figure gives the same bytes. Returns the path.
+    """Write a figure as SVG with readings; return the path. Equal figures give equal bytes.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     path.write_text(_drawn(figure, path.stem), encoding="utf-8")
     return path
 
 
 def _drawn(figure: Figure, name: str) -> str:
-    """SVG of a figure, with what can be read off it; `name` makes its identifiers."""
+    """Return the SVG of a figure with its readings; `name` seeds its identifiers."""
     import matplotlib as mpl
 
     drawn = io.StringIO()
@@ -77,7 +77,7 @@ def _drawn(figure: Figure, name: str) -> str:
 
 
 def _lay_out(figure: Figure) -> None:
-    """Give every axes its place, once and for good: `savefig` would draw the whole figure for it, unseen."""
+    """Lay out the axes once: otherwise `savefig` would draw the whole figure an extra time for this."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     engine = figure.get_layout_engine()
@@ -91,7 +91,7 @@ def _lay_out(figure: Figure) -> None:
 
 
 def _part_labels(axes: Axes) -> None:
-    """Fewer ticks along a narrow x axis, until no label touches the next."""
+    """Reduce the ticks along a narrow x axis until no labels touch."""
     from matplotlib.ticker import AutoLocator, MaxNLocator
 
     if not isinstance(axes.xaxis.get_major_locator(), AutoLocator):
@@ -108,20 +108,20 @@ def _part_labels(axes: Axes) -> None:
 
 
 def figure_image(path: Path, title: str) -> Markup:
-    """An SVG file as an `<img>` that needs no other file, in a box that knows what can be read off it.
+    """Return an SVG file as a self-contained `<img>`, in a box with its readings.
 
     Args:
-        path: of the SVG file.
-        title: what stands for the figure where it cannot be seen.
+        path: the SVG file.
+        title: alternative text of the figure.
 
     Raises:
-        DataError: the file is missing or no SVG.
+        DataError: the file is missing or not an SVG.
     """
     return _image(themed_svg(path), title)
 
 
 def drawn_image(figure: Figure, title: str, name: str = "figure") -> Markup:
-    """A figure that was just drawn, as `figure_image` of its file `name`.svg, which need not be there."""
+    """Return `figure_image` of a figure that was just drawn, without a file; `name` seeds its identifiers."""
     return _image(_themed(_drawn(figure, name), name), title)
 
 
@@ -136,10 +136,10 @@ def _image(themed: str, title: str) -> Markup:
 
 
 def themed_svg(path: Path) -> str:
-    """An SVG file without prolog, its colours those of the reader's light or dark theme.
+    """Return an SVG file without prolog, with the colours of the reader's light or dark theme.
 
     Raises:
-        DataError: the file is missing or no SVG.
+        DataError: the file is missing or not an SVG.
     """
     try:
         text = read_text(path, _MOST_BYTES)
@@ -149,7 +149,7 @@ def themed_svg(path: Path) -> str:
 
 
 def _themed(text: str, source: str) -> str:
-    """`themed_svg` of its text; `source` is what an error names."""
+    """`themed_svg` of a text; errors name `source`."""
     start, end = text.find("<svg"), text.rfind("</svg>")
     if start < 0 or end < start:
         raise DataError(source, "is not an SVG file")
@@ -167,7 +167,7 @@ def _themed(text: str, source: str) -> str:
 
 
 def theme() -> dict[str, str]:
-    """Colours of figures as CSS variables, on `light` and on `dark` pages."""
+    """Return the colours of figures as CSS variables, for `light` and `dark` pages."""
     return {
         name: "".join(f"--{k}:{v};" for k, v in colours.items())
         for name, colours in (("light", _LIGHT), ("dark", _DARK))

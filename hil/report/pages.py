@@ -1,4 +1,4 @@
-"""Shared by all pages: templates, the script for figures, the format of numbers, times and verdicts."""
+"""Shared parts of all pages: templates, the script for figures, formats of numbers, times and verdicts."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _READ = {
     "rad": ("deg", math.degrees(1.0), math.inf),
     "rad/s": ("deg/s", math.degrees(1.0), math.inf),
 }
-"""Unit that people read, factor to it, and the size from which a value stays in its own unit."""
+"""Displayed unit, factor to it, and the size from which a value keeps its original unit."""
 
 
 @cache
 def environment() -> Environment:
-    """Templates of the pages; `script` is the only one that a page runs, and its policy names its hash."""
+    """Return the templates of the pages. Pages run only `script`: their security policy contains its hash."""
     env = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True, trim_blocks=True)
     env.filters["number"] = number
     env.filters["duration"] = duration
@@ -45,7 +45,7 @@ def environment() -> Environment:
 
 
 def number(value: object, digits: int = 4) -> str:
-    """A figure with four significant digits unless given otherwise, a dash for none."""
+    """Format a number with four significant digits by default; a dash for none."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -58,15 +58,15 @@ def number(value: object, digits: int = 4) -> str:
 
 
 def quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """A number with its unit: `1.5 mm`; without one for a share."""
+    """Format a number with its unit: `1.5 mm`; without unit for a ratio."""
     return number(value, digits) if unit in ("1", "") or value is None else f"{number(value, digits)} {unit}"
 
 
 def as_people_read(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Value and limits of a measurement in mm, ms and deg where it has small ones in m, s and rad.
+    """Convert value and limits of a measurement to mm, ms and deg, if they are small in m, s and rad.
 
     Args:
-        row: with `unit`, `value`, `low` and `high`.
+        row: row with `unit`, `value`, `low` and `high`.
     """
     unit, factor, below = _READ.get(row["unit"], (row["unit"], 1.0, math.inf))
     own = {key: row[key] for key in ("value", "low", "high")}
@@ -76,7 +76,7 @@ def as_people_read(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds as people say them."""
+    """Format a duration in seconds for the reader."""
     if seconds is None:
         return "–"
     if seconds < 120:
@@ -85,14 +85,14 @@ def duration(seconds: float | None) -> str:
 
 
 def outcome_words(row: Mapping[str, Any]) -> dict[str, str]:
-    """How an outcome is called and coloured; a value without limits is only reported."""
+    """Return name and colour class of an outcome; a value without limits is only reported."""
     if row["outcome"] == "PASS" and not row.get("limited", True):
         return {"word": "reported", "tone": "reported"}
     return {"word": row["outcome"], "tone": row["outcome"]}
 
 
 def limit_words(row: Mapping[str, Any], digits: int = 4) -> str:
-    """Limits of a measurement in words: `at most 8 mm`; empty for none."""
+    """Return the limits of a measurement as text: `at most 8 mm`; empty for none."""
     low, high, unit = row["low"], row["high"], row["unit"]
     if low is not None and high is not None:
         return f"{number(low, digits)} to {quantity(high, unit, digits)}"
@@ -102,7 +102,7 @@ def limit_words(row: Mapping[str, Any], digits: int = 4) -> str:
 
 
 def digits_of(row: Mapping[str, Any]) -> int:
-    """Digits with which the value of a measurement reads differently from limits that it does not meet."""
+    """Return the number of digits needed to distinguish a value from a limit that it does not meet."""
     value = row["value"]
     if value is None or not math.isfinite(value):
         return 4

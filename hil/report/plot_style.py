@@ -1,7 +1,7 @@
-"""Look of the figures in reports of runs: one palette that works on light and on dark pages.
+"""Style of the figures in reports of runs: one palette for light and dark pages.
 
-Colours of the palette are replaced by the page's own when a figure is put into a report, so that
-the same SVG reads well alone on white and in a dark report.
+The palette is replaced by the page's colours when a figure is embedded in a report, so that the same
+SVG is readable both alone on white and in a dark report.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ SERIES = tuple(PALETTE[f"c{k}"] for k in range(1, 6))
 _STRAIGHT = 0.1
 _FINE, _DECADES = (1.0, 2.0, 5.0), (1.0,)
 MOST_POINTS = 400
-"""Of one curve."""
+"""Largest number of points of one curve."""
 
 
 def new_figure(width_in: float = 5.2, height_in: float = 3.0) -> Figure:
-    """An empty figure; its text stays text, in the reader's font."""
-    from matplotlib.figure import Figure  # takes 0.7 s, which a run that draws nothing should not wait
+    """Return an empty figure; its text is saved as text, in the reader's font."""
+    from matplotlib.figure import Figure  # takes 0.7 s, not needed in a run without figures
 
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def style(axes: Axes, x: str, y: str, title: str = "") -> Axes:
-    """Labels, a quiet grid, no frame on top and right.
+    """Set labels and a light grid; remove the top and right frame.
 
     Args:
-        axes: to draw on.
+        axes: axes to change.
         x: label with unit; empty for none.
-        y: the same.
-        title: empty for none.
+        y: label with unit; empty for none.
+        title: title; empty for none.
     """
     axes.set_xlabel(x, fontsize=9)
     axes.set_ylabel(y, fontsize=9)
@@ -64,11 +64,11 @@ def style(axes: Axes, x: str, y: str, title: str = "") -> Axes:
 
 
 def plain_log(axes: Axes, linear_below: float | None = None) -> None:
-    """A logarithmic y axis labelled 1, 10, 100 for what has been drawn.
+    """Set a logarithmic y axis labelled 1, 10, 100 for the data drawn so far.
 
     Args:
-        axes: that everything was drawn on.
-        linear_below: if given, the axis is linear around zero, and altogether if nothing is larger.
+        axes: axes with all data.
+        linear_below: if given, the axis is linear up to this value; fully linear if no data exceed it.
     """
     from matplotlib.ticker import LogLocator, NullFormatter, SymmetricalLogLocator
 
@@ -89,36 +89,36 @@ def plain_log(axes: Axes, linear_below: float | None = None) -> None:
 
 
 def share_scale(axes: Axes, x_m: float, y_m: float) -> None:
-    """One scale for both sides of a path, unless it goes along one of them: curves would hide each other.
+    """Use one scale for x and y of a path, unless it runs along one axis, where curves would overlap.
 
     Args:
-        axes: that the path is drawn on.
-        x_m: how far it goes along X, and
-        y_m: along Y.
+        axes: axes of the path.
+        x_m: extent of the path along X, m.
+        y_m: extent of the path along Y, m.
     """
     if min(x_m, y_m) > _STRAIGHT * max(x_m, y_m):
         axes.set_aspect("equal", adjustable="datalim")
 
 
 def legend(axes: Axes, columns: int = 1, *, above: bool = False) -> None:
-    """A legend without box: where there is room, or above the axes, where it hides no curve."""
+    """Add a legend without box: at the best free place, or above the axes, where it hides no curve."""
     place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)} if above else {}
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, frameon=False, ncols=columns, **place)
 
 
 def thin(*columns: Array) -> list[Array]:
-    """Columns (n,) of one length, thinned to what a figure can show; extremes stay, see `kept_rows`."""
+    """Thin columns (n,) of equal length for a figure; extremes are kept, see `kept_rows`."""
     rows = kept_rows(*columns)
     return [c[rows] for c in columns]
 
 
 def kept_rows(*columns: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Rows that stand for all of a curve: every so many, and the extremes and gaps of each stretch of it.
+    """Return indices of rows that represent a curve: regular ones, and extremes and gaps of each section.
 
     Args:
-        columns: (n,) each, of one length. One that never falls, such as time, has its extremes at the ends.
-        most: how many rows may stay.
+        columns: (n,) each, of equal length. Extremes of a monotonic one, such as time, lie at its ends.
+        most: largest number of rows.
     """
     count = len(columns[0])
     if count <= most:

@@ -1,4 +1,4 @@
-"""The pages of a replayed recording: estimators compared (how far off, how sure), or decisions verified."""
+"""The pages of a replayed recording: comparison of estimators (error, covariance), or verified decisions."""
 
 from __future__ import annotations
 
@@ -64,18 +64,18 @@ def write_replay_page(
     on_wall: bool = True,
     said: str = "",
 ) -> Path:
-    """Write the page; returns its path.
+    """Write the page; return its path.
 
     Args:
         path: HTML file.
         title: heading.
-        motions: the same run as recorded and as each estimator sees it, by name.
+        motions: the same run, as recorded and as estimated by each estimator, by name.
         truth: `hil.replay.estimator_comparison.truth_of` the run, shape (n, 3).
-        numbers: `hil.replay.estimator_comparison.table` of them.
-        warnings: above the figures: what could not be read, or makes no sense.
-        facts: which sensors there are.
+        numbers: `hil.replay.estimator_comparison.table` of the motions.
+        warnings: texts above the figures, about data that could not be read or are implausible.
+        facts: texts about the available sensors.
         on_wall: whether x points up.
-        said: sentence below the heading; about the errors where it is empty.
+        said: sentence below the heading; if empty, a sentence about the errors.
 
     Raises:
         DataError: the file cannot be written.
@@ -92,21 +92,20 @@ def write_replay_page(
             "path",
             "Path",
             _path(drawn, truth, on_wall),
-            "Motion capture, and what each estimator believed. Of a line along X or Y, what it does "
-            "sideways is enlarged.",
+            "Motion capture and estimates. For a line along X or Y, the sideways direction is enlarged.",
         ),
         Drawn(
             "confidence",
-            "How sure, and how wrong",
+            "Claimed and actual error",
             _confidence(drawn, truth),
-            "NEES: the squared error over the variance that the estimator claims. Three (dashed) is ideal, "
-            "more is too sure of itself.",
+            "NEES: the squared error over the variance that the estimator claims. Three (dashed) is ideal; "
+            "more means that the claimed variance is too small.",
         ),
     ]
     tables = [
         _table("Errors against motion capture", _ERRORS, numbers),
         _table(
-            "How sure each was of itself",
+            "Consistency of each estimator",
             _SURE,
             numbers,
             "NEES is ideal at 3, NIS at 1, the correlation of the gyro's innovations at 0. The last "
@@ -119,13 +118,13 @@ def write_replay_page(
 def write_verification_page(
     path: Path, title: str, found: Mapping[str, Any], warnings: Sequence[str] = ()
 ) -> Path:
-    """Write the page of a verified recording; returns its path.
+    """Write the page of a verified recording; return its path.
 
     Args:
         path: HTML file.
         title: heading.
-        found: `hil.replay.verification.verify_recording`.
-        warnings: what could not be read.
+        found: result of `hil.replay.verification.verify_recording`.
+        warnings: texts about data that could not be read.
 
     Raises:
         DataError: the file cannot be written.
@@ -148,12 +147,12 @@ def write_verification_page(
         for run in found["runs"]
         if run["difference"] is not None
     ]
-    said = _VERDICTS[found["verdict"]]
+    sentence = _VERDICTS[found["verdict"]]
     if differ and then == here:
-        said += " Both were computed by the same arithmetic, so every bit has to be equal."
+        sentence += " Both were computed by the same arithmetic, so every bit has to be equal."
     elif not then:
-        said += " The recording does not say by what arithmetic it was made."
-    return write_overview(path, Overview(title, said, [], tables, [*differ, *warnings]))
+        sentence += " The recording does not say by what arithmetic it was made."
+    return write_overview(path, Overview(title, sentence, [], tables, [*differ, *warnings]))
 
 
 def _sentence(numbers: Numbers) -> str:
@@ -170,7 +169,7 @@ def _name(name: str) -> str:
 
 
 def _drawn(motions: Mapping[str, Motion]) -> Iterator[tuple[str, Motion]]:
-    """What is drawn, by label: estimates that are the same are one curve."""
+    """Yield label and motion of each curve; equal estimates are merged into one."""
     groups: list[tuple[list[str], Motion]] = []
     for name, motion in motions.items():
         same = next((g for g in groups if _same(g[1], motion)), None)
@@ -179,7 +178,7 @@ def _drawn(motions: Mapping[str, Motion]) -> Iterator[tuple[str, Motion]]:
         else:
             groups.append(([_name(name)], motion))
     for names, motion in groups:
-        yield " = ".join(names).replace("$", r"\$"), motion  # else matplotlib reads a formula
+        yield " = ".join(names).replace("$", r"\$"), motion  # else matplotlib parses a formula
 
 
 def _same(one: Motion, other: Motion) -> bool:
@@ -188,7 +187,7 @@ def _same(one: Motion, other: Motion) -> bool:
 
 
 def _difference(motion: Motion, truth: Array) -> Array:
-    """Estimate minus truth (n, 3), m and rad."""
+    """Return estimate minus truth (n, 3), m and rad."""
     difference: Array = motion.estimate - truth
     difference[:, 2] = wrap_array(difference[:, 2])
     return difference
@@ -209,7 +208,7 @@ def _errors(motions: Mapping[str, Motion], truth: Array) -> Figure:
 
 
 def _path(motions: Mapping[str, Motion], truth: Array, on_wall: bool) -> Figure:
-    """X up, Y to the left, as who stands before a wall sees it; where little happens a side is enlarged."""
+    """Draw the path as seen in front of the wall, X up, Y left; an axis with little motion is enlarged."""
     known = truth[np.isfinite(truth).all(axis=1), :2]
     extent = np.ptp(known, axis=0) if len(known) else np.ones(2)
     (in_x, x_unit), (in_y, y_unit) = ((1e3, "mm") if w < _LITTLE_M else (1.0, "m") for w in extent)
@@ -241,7 +240,7 @@ def _confidence(motions: Mapping[str, Motion], truth: Array) -> Figure:
 
 
 def _table(title: str, columns: Sequence[tuple[str, str, float]], numbers: Numbers, note: str = "") -> Table:
-    """The columns that have at least one figure."""
+    """Return a table of the columns that have at least one value."""
     known = [c for c in columns if any(row.get(c[0]) is not None for row in numbers.values())]
     rows = [
         [_name(name), *(number(_times(row.get(key), factor)) for key, _, factor in known)]

@@ -1,6 +1,6 @@
-"""`result.json` of a run, checked: whatever else a file holds, the pages find what they use in its shape.
+"""Reads and validates `result.json` of a run, so that the pages can rely on the types of its values.
 
-A results folder may come from anywhere, so what is named in it is only used where it lies inside.
+A results folder may come from an untrusted source, so files that it names are used only if they lie inside.
 """
 
 from __future__ import annotations
@@ -129,17 +129,17 @@ class _Result(_Part):
 
 
 def wrong_shape(error: ValidationError) -> str:
-    """The first places at which a file is not what it should be, and why."""
+    """Describe the first validation errors of a file: place and reason."""
     wrong = [f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors()[:_SHOWN]]
     return "; ".join(wrong)
 
 
 def read_result(folder: Path) -> dict[str, Any]:
-    """`result.json` of a run.
+    """Read and validate `result.json` of a run.
 
     Raises:
-        DataError: missing, damaged, of another schema, with values of the wrong kind, or with a verdict that
-            what it measured contradicts.
+        DataError: the file is missing, damaged, of another schema, has values of a wrong type, or a verdict
+            that contradicts its measurements.
     """
     path = folder / RESULT
     remedy = "name a results folder of hil run"
@@ -164,7 +164,7 @@ def read_result(folder: Path) -> dict[str, Any]:
 
 
 def contradiction(result: Mapping[str, Any]) -> str:
-    """What in a result cannot be true together: verdict, outcomes, values, errors; empty where all can."""
+    """Return a contradiction between verdict, outcomes, values and errors of a result; empty for none."""
     verdict, rows = result["verdict"], result["measurements"]
     for row in rows:
         value, low, high = row["value"], row["low"], row["high"]
@@ -184,7 +184,7 @@ def contradiction(result: Mapping[str, Any]) -> str:
 
 
 def inside(folder: Path, path: str) -> Path | None:
-    """A file of a results folder, links followed; None for a path that leads out of it."""
+    """Return a file of a results folder, links resolved; None for a path outside of the folder."""
     try:
         whole = (folder / path).resolve()
         return whole if whole.is_relative_to(folder.resolve()) else None
@@ -193,15 +193,15 @@ def inside(folder: Path, path: str) -> Path | None:
 
 
 def address(folder: Path, path: str) -> str:
-    """A path as a relative URL for a page in that folder; empty for a path that leads out of it."""
+    """Return a path as a relative URL for a page in the folder; empty for a path outside of it."""
     return "" if inside(folder, path) is None or Path(path).is_absolute() else quote(path)
 
 
 def own_file(folder: Path, name: str) -> Path:
-    """Where to write a page of a results folder.
+    """Return the path at which to write a page of a results folder.
 
     Raises:
-        DataError: a symbolic link has that name: what it leads to may be anything.
+        DataError: a symbolic link has that name; its target is not trusted.
     """
     path = folder / name
     if path.is_symlink():

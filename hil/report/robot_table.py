@@ -1,4 +1,4 @@
-"""What is known of a robot, as rows: part, what, how well, since when, by whom, until when."""
+"""Rows about the known parameters of a robot: part, values, uncertainty, procedure, date, validity."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _SHOWN = {
 
 
 def part_rows(file: RecordFile, today: date) -> list[dict[str, Any]]:
-    """One row per part that there can be, as JSON values.
+    """Return one row per possible part, as JSON values.
 
     Args:
         file: version of a record.
-        today: what validity is judged on.
+        today: date for the check of validity.
 
     Returns:
         `part`, `title`, `known`, `by`, `verdict`, `since`, `until`, `out_of_date`, `surface`, `figures`
@@ -67,7 +67,7 @@ def _figures(part: Part) -> Iterator[dict[str, Any]]:
 
 
 def in_words(figure: Figure) -> str:
-    """A figure with its standard uncertainty in the unit that people use: `100.312 ± 0.084 %`."""
+    """Format a figure with its standard uncertainty in the usual unit: `100.312 ± 0.084 %`."""
     unit, factor = _SHOWN.get(figure.unit, ("" if figure.unit == "1" else figure.unit, 1.0))
     value = factor * figure.value
     if figure.sigma is None or figure.sigma <= 0.0:
@@ -78,11 +78,11 @@ def in_words(figure: Figure) -> str:
 
 
 def differences(old: RecordFile, new: RecordFile) -> list[dict[str, Any]]:
-    """What two versions know differently.
+    """Compare two versions of a record.
 
     Returns:
-        Rows of `part`, `name` (of a value or figure; empty for a part as a whole), `old`, `new`, and
-        `sigmas`: the change over its standard uncertainty, where both are known.
+        Rows of `part`, `name` (of a value or figure; empty for a whole part), `old`, `new`, and
+        `sigmas`: the change divided by its standard uncertainty, if both are known.
     """
     rows: list[dict[str, Any]] = []
     for name in PARTS:

@@ -1,7 +1,7 @@
-"""The report of one run: a single HTML file made from its results folder, readable anywhere.
+"""The report of one run: a single, self-contained HTML file made from its results folder.
 
-What happened and the verdict first, then figures, then measurements with their limits drawn, by device, then
-tables; last, folded, what is needed to repeat it. No network, dark and light, phone and desk, print.
+Order: summary and verdict, figures, measurements by device with their limits drawn, tables, and a folded
+section to repeat the run. It needs no network and supports dark and light themes, phones, desktops and print.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _BAR = 100.0
 
 
 def write_run_page(folder: Path, out: Path | None = None) -> Path:
-    """Write the page of a run as `out`, by default as `report.html` beside `result.json`; returns its path.
+    """Write the page of a run to `out`, by default `report.html` beside `result.json`; return its path.
 
     Raises:
-        DataError: the result cannot be read, a figure of it is missing or lies elsewhere, or the page
-            cannot be written.
+        DataError: the result cannot be read, one of its figures is missing or outside of the folder, or
+            the page cannot be written.
     """
     tree = read_result(folder)
     rows = [
@@ -74,7 +74,7 @@ def _image(folder: Path, figure: Mapping[str, Any]) -> Markup:
 
 
 def counts(tree: Mapping[str, Any]) -> dict[str, int]:
-    """How many limited measurements came out how."""
+    """Count the measurements with limits by outcome."""
     found: dict[str, int] = {}
     for row in tree["measurements"]:
         if row.get("limited", True) or row["outcome"] == "FAIL":
@@ -84,9 +84,9 @@ def counts(tree: Mapping[str, Any]) -> dict[str, int]:
 
 
 def bar(row: Mapping[str, Any]) -> dict[str, float] | None:
-    """Where a value stands between its limits, in percent of a bar; None without limits or value.
+    """Return the position of a value between its limits, in percent of a bar; None without limits or value.
 
-    The bar shows the allowed range with a quarter of it on either open side; a value beyond is
+    The bar shows the allowed range with a quarter of it on either open side; a value beyond it is
     drawn at the end.
     """
     low, high, value = row["low"], row["high"], row["value"]
@@ -111,7 +111,7 @@ def bar(row: Mapping[str, Any]) -> dict[str, float] | None:
 
 
 def _columns_of_words(rows: Sequence[Sequence[str]]) -> set[int]:
-    """Columns, from 1, whose cells are text rather than numbers."""
+    """Return the columns, from 1, whose cells are text rather than numbers."""
     return {
         k for row in rows for k, cell in enumerate(row, start=1) if len(re.findall(r"[^\W\d_]{3,}", cell)) > 1
     }

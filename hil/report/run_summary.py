@@ -1,4 +1,4 @@
-"""A run's outcome in one sentence, and its measurements grouped by device."""
+"""Summarises a run in one sentence, and groups its measurements by device."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _NAMED = 3
 
 
 def sentence(tree: Mapping[str, Any]) -> str:
-    """What happened: what ended the run early, else what its procedure says, and how its limits did.
+    """Return a summary: the error that ended the run early, else the procedure's headline and its limits.
 
-    A procedure that says nothing of its own has its values listed, those nearest to their limits first.
+    Without a headline the values are listed, those nearest to their limits first.
 
     Args:
-        tree: of `result.json`.
+        tree: content of `result.json`.
     """
     if tree["error"]:
         where = "after" if tree["error"].get("finished") else "in"
@@ -33,12 +33,12 @@ def sentence(tree: Mapping[str, Any]) -> str:
     if not rows:
         return f"{own} Nothing was measured.".strip()
     later = _left_out_after_a_failure(rows)
-    said = [own, _limits([r for r in rows if r not in later], rows, also=bool(own))]
+    sentences = [own, _limits([r for r in rows if r not in later], rows, also=bool(own))]
     if later:
-        said.append(f"What comes after that was not measured: {_listed([_name(r) for r in later])}.")
+        sentences.append(f"What comes after that was not measured: {_listed([_name(r) for r in later])}.")
     if unmeasured := [r for r in rows if not _has_limits(r) and r["outcome"] == "FAIL" and r not in later]:
-        said.append(f"Failed for want of a value: {_named(unmeasured)}.")
-    return " ".join(filter(None, said))
+        sentences.append(f"Failed without a value: {_named(unmeasured)}.")
+    return " ".join(filter(None, sentences))
 
 
 def _has_limits(row: Mapping[str, Any]) -> bool:
@@ -50,12 +50,12 @@ def _is_number(row: Mapping[str, Any]) -> bool:
 
 
 def was_set(row: Mapping[str, Any]) -> bool:
-    """Whether the procedure set it, if to a value that JSON cannot hold: then there is a step alone."""
+    """Whether the procedure set the measurement; a value that JSON cannot hold leaves only its `step`."""
     return row["value"] is not None or bool(row.get("step"))
 
 
 def _left_out_after_a_failure(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Measurements at the end that were never set, after one that failed by its value."""
+    """Return trailing measurements that were never set, after one whose value failed."""
     count = next((k for k, row in enumerate(reversed(rows)) if was_set(row)), len(rows))
     before, later = rows[: len(rows) - count], rows[len(rows) - count :]
     failed = any(r["outcome"] == "FAIL" and _is_number(r) for r in before)
@@ -63,7 +63,7 @@ def _left_out_after_a_failure(rows: Sequence[Mapping[str, Any]]) -> list[Mapping
 
 
 def _limits(rows: Sequence[Mapping[str, Any]], every: Sequence[Mapping[str, Any]], *, also: bool) -> str:
-    """How the limits of `rows` did, counted against those of `every` row."""
+    """Return sentences about the limits of `rows`, as a share of those of `every` row."""
     judged = [r for r in rows if _has_limits(r) and r["outcome"] != "NOT MEASURED"]
     failed = [r for r in judged if r["outcome"] == "FAIL"]
     if failed:
@@ -73,7 +73,7 @@ def _limits(rows: Sequence[Mapping[str, Any]], every: Sequence[Mapping[str, Any]
     if not judged:
         return ""
     if near:
-        return f"{_of(near, judged, 'held by little')}: {_named(near)}."
+        return f"{_of(near, judged, 'held by a small margin')}: {_named(near)}."
     whole = "Its one limit held" if len(judged) == 1 else f"All {len(judged)} limits held"
     if also:
         return f"{whole}."
@@ -90,7 +90,7 @@ def _of(some: Sequence[object], every: Sequence[object], did: str) -> str:
 
 
 def _room(row: Mapping[str, Any]) -> tuple[bool, float]:
-    """Orders kept limits by how near their values are; counts and answers, which often meet theirs, last."""
+    """Sort key of kept limits: distance to the limit; counts and yes/no, often at their limit, last."""
     low, high, value = row["low"], row["high"], row["value"]
     margin = min(abs(value - limit) for limit in (low, high) if limit is not None)
     width = high - low if low is not None and high is not None else abs(low if high is None else high)
@@ -111,12 +111,12 @@ def _name(row: Mapping[str, Any]) -> str:
 
 
 def missing_words(row: Mapping[str, Any]) -> str:
-    """What is wrong with a value that is not there."""
+    """Return why a measurement has no value."""
     return "is no finite number" if was_set(row) else "was never measured"
 
 
 def _value_and_limit(row: Mapping[str, Any]) -> str:
-    """`end error 2.3 mm, at most 10 mm`: in mm and deg, with digits enough to tell it from its limits."""
+    """Return `end error 2.3 mm, at most 10 mm`: in mm and deg, with digits that tell value from limit."""
     name, own = _name(row), as_people_read(row)
     value = own["value"]
     if not _is_number(row):
@@ -127,11 +127,11 @@ def _value_and_limit(row: Mapping[str, Any]) -> str:
 
 
 def grouped(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of measurements in groups, by what stands before the first dot of their names.
+    """Group rows of measurements by the part of their names before the first dot.
 
     Returns:
-        `title`, `rows`, their `count`, `counts` by outcome, and `bad`, the outcomes that are no pass, of each
-        group; few rows, or rows of one kind, are one group without a title.
+        `title`, `rows`, their `count`, `counts` by outcome, and `bad`, the outcomes other than pass, of each
+        group; few rows, or rows of one kind, form one group without a title.
     """
     titles = [_title(str(row["name"])) for row in rows]
     together = len(rows) <= _FEW or len(set(titles)) < 2

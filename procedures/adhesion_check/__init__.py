@@ -1,9 +1,9 @@
-"""How firmly the robot is pressed on its surface, and whether load cells and fan speed agree on it.
+"""Measures the force that presses the robot on its surface, and whether load cells and fan speed agree.
 
-The fan's force goes up and down in steps while the robot rests, never below what holds it. The load cells
-against the square of the speed give the cells' zeros without stopping the fan, and the force that belongs to
-a speed; force against what is needed gives the margin. On an emulated wall a tethered robot then shows at
-which force it slides.
+The fan's force goes up and down in steps while the robot rests, never below the holding force. A line
+fitted to the load cells over the squared speed gives the cells' zeros without stopping the fan, and the force
+at each speed. The difference of measured and needed force is the margin. On an emulated wall a tethered robot
+then shows at which force it slides.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TETHERED = {"safety.tethered": True}
 
 
 class Parameters(BaseModel):
-    """How many levels of force, and how long each is watched."""
+    """Number of force levels, and observation time of each."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     levels: int = Field(
@@ -35,7 +35,7 @@ class Parameters(BaseModel):
     )
     dwell_s: float = Field(1.5, ge=0.5, le=20.0, description="How long each force is watched, s.")
     highest_n: float = Field(
-        50.0, gt=0.0, le=500.0, description="Highest force that the fan is asked for, N."
+        50.0, gt=0.0, le=500.0, description="Highest force that is commanded to the fan, N."
     )
     slide: bool = Field(
         True, description="On an emulated fan, lower the force until the robot slides, to find where it does."
@@ -43,7 +43,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:
-    """What must be known of a robot before it hangs by its fan."""
+    """Yield what must be measured before a robot hangs by its fan."""
     needs = needs_of(config)
     yield Measurement("cells_zero_1", "N", rationale="what the first cell shows without load")
     yield Measurement("cells_zero_2", "N", rationale="what the second one shows")
@@ -86,13 +86,13 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:
 
 
 def slides(p: Parameters, config: BenchConfig) -> bool:
-    """Whether the robot is to be let slide: emulated, and on a wall."""
+    """Whether the slide test is run: only with an emulated fan, on a wall."""
     fan = config.devices().get("adhesion")
     return p.slide and config.environment.on_wall and fan is not None and fan.backend == "emulated"
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """Levels of force, and on an emulated wall the slide."""
+    """Plan the force levels, and on an emulated wall the slide."""
     yield PlannedStep("levels of force")
     if slides(p, config):
         yield PlannedStep("slide")
@@ -100,7 +100,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """What presses the robot on its wall, and how much more that is than it needs."""
+    """Return the fan's force at rated speed, and its margin over the needed force."""
     return (
         f"At its rated speed the fan presses with {v['rated_force']:.0f} N: {v['hold_margin']:.0f} N more "
         f"than this surface needs."
@@ -129,7 +129,7 @@ def run(ctx: Context) -> None:
 
 
 def watch_levels(ctx: Context, p: Parameters) -> list[dict[str, Any]]:
-    """Visit every level of force at rest."""
+    """Measure at every force level, with the robot at rest."""
     bench, found = ctx.bench, []
     wanted = levels_n(bench.config, p.levels, p.highest_n)
     for k, force_n in enumerate(wanted):
@@ -140,12 +140,12 @@ def watch_levels(ctx: Context, p: Parameters) -> list[dict[str, Any]]:
 
 
 def back(bench: Bench) -> None:
-    """Go back to the working force."""
+    """Set the working force again."""
     visit(bench, needs_of(bench.config).wanted_n, 0.5)
 
 
 def slide(ctx: Context) -> dict[str, float]:
-    """Lower the force under a tethered robot until motion capture sees it move; then hold it again."""
+    """Lower the fan's force until motion capture sees the tethered robot move; then hold it again."""
     bench = ctx.reopen("slide", overrides=_TETHERED)
     needs, fan = needs_of(bench.config), bench.rig.get("adhesion")
     force_n = 1.3 * needs.needed_n
@@ -164,7 +164,7 @@ def slide(ctx: Context) -> dict[str, float]:
 
 
 def evaluate(ctx: Context, config: BenchConfig, found: Fit, slid: dict[str, float] | None) -> None:
-    """Measurements, table, figure, and the piece of the bench file."""
+    """Set measurements; leave table, figure, and fragment of the bench file."""
     needs = needs_of(config)
     for k in (0, 1):
         ctx.measure(f"cells_zero_{k + 1}", found.zero_n[k])
@@ -185,7 +185,7 @@ def evaluate(ctx: Context, config: BenchConfig, found: Fit, slid: dict[str, floa
         ctx.measure("friction", needs.statics.friction_used(true_n, slid["thrust_n"], heading_rad))
     ctx.table(
         "Levels of force",
-        ["asked for (N)", "cells (N)", "speed (1/min)", "battery (A)", "battery (V)"],
+        ["commanded (N)", "cells (N)", "speed (1/min)", "battery (A)", "battery (V)"],
         [
             [
                 f"{x.asked_n:.1f}",

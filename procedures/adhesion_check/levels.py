@@ -1,4 +1,4 @@
-"""Levels of the fan's force: visited at rest, and what load cells and speed make of each other."""
+"""Force levels of the fan: measured at rest; load cells are fitted over the squared fan speed."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _LEAST_SPREAD_N = 5.0
 
 @dataclass(frozen=True)
 class Needs:
-    """What a bench asks of its fan.
+    """Forces that a bench requires of its fan.
 
     Attributes:
         statics: robot and surface.
-        on_wall: whether it can fall.
-        thrust_n, wanted_n: what propellers and fan are asked for.
-        needed_n, limit_n: what holds the robot, and that with the reserve.
-        reserve: as in `[safety]`.
-        rated_n, rated_rpm: of the fan.
+        on_wall: whether the robot can fall.
+        thrust_n, wanted_n: set-points of propellers and fan, N.
+        needed_n, limit_n: force that holds the robot, without and with the reserve, N.
+        reserve: reserve of `[safety]`.
+        rated_n, rated_rpm: rated force and speed of the fan.
     """
 
     statics: Statics
@@ -50,7 +50,7 @@ class Needs:
 
 
 def needs_of(config: BenchConfig) -> Needs:
-    """Force needed by a configuration with fan and cells; raises `ConfigError`."""
+    """Return the forces for a configuration with fan and cells; raises `ConfigError` without a fan."""
     limits = adhesion_limits(config)
     if limits is None or not limits.has_fan:
         raise ConfigError(f"{config.name} has no fan", remedy="add the section [adhesion] to the bench file")
@@ -70,7 +70,7 @@ def needs_of(config: BenchConfig) -> Needs:
 
 @dataclass(frozen=True)
 class Level:
-    """Means of one rest; forces of both cells with their zeros."""
+    """Mean values of one rest; cell forces include their zeros."""
 
     asked_n: float
     cell_1_n: float
@@ -82,22 +82,22 @@ class Level:
 
     @property
     def cells_n(self) -> float:
-        """Force by both cells together, N."""
+        """Sum of both cells, N."""
         return self.cell_1_n + self.cell_2_n
 
     def to_json(self) -> dict[str, Any]:
-        """The figures as plain values for JSON."""
+        """Return the values as a JSON object."""
         return asdict(self)
 
 
 def levels_n(config: BenchConfig, count: int, highest_n: float) -> list[float]:
-    """Forces to visit: on a wall none below the limit, with the working one first to climb down from."""
+    """Return the force levels, N, from the highest down; on a wall none is below the limit."""
     needs = needs_of(config)
     low_n = _ABOVE_LIMIT * needs.limit_n if needs.on_wall else _LEAST_N
     high_n = max(needs.wanted_n, highest_n)
     if high_n - low_n < _LEAST_SPREAD_N:
         raise ConfigError(
-            f"levels of force between {low_n:.1f} and {high_n:.1f} N tell nothing",
+            f"force levels from {low_n:.1f} to {high_n:.1f} N are too close together",
             expected=f"{_LEAST_SPREAD_N:g} N between them",
             remedy="raise highest_n, or go to the floor",
         )
@@ -105,7 +105,7 @@ def levels_n(config: BenchConfig, count: int, highest_n: float) -> list[float]:
 
 
 def visit(bench: Bench, force_n: float, dwell_s: float) -> Level:
-    """Go to a force in small steps and rest there."""
+    """Ramp to a force in small steps; return the mean values of a rest there."""
     fan, now_n = bench.rig.get("adhesion"), _present_n(bench)
     steps = max(1, math.ceil(abs(force_n - now_n) / _STEP_N))
     for k in range(1, steps + 1):
@@ -116,7 +116,7 @@ def visit(bench: Bench, force_n: float, dwell_s: float) -> Level:
 
 
 def rest(bench: Bench, asked_n: float, dwell_s: float) -> tuple[Level, float]:
-    """Watch a robot at rest: means, and how far it moved meanwhile, m."""
+    """Observe a robot at rest; return mean values, and how far it moved, m."""
     motion = watched_to_a_seen_end(bench, bench.observe(dwell_s, feedback="odometry"))
     return _mean(motion, asked_n, thrust_wanted_n(bench.config)), moved_at_rest(motion)
 
@@ -129,7 +129,7 @@ def _present_n(bench: Bench) -> float:
 
 
 def _mean(motion: Motion, asked_n: float, thrust_n: float) -> Level:
-    """Means over a rest; raises `DataError` without measurements."""
+    """Return mean values of a rest; raises `DataError` with too few samples."""
     fan = [s for r in motion.records for s in r.inputs.adhesion if s.status is Status.OK]
     cells = [
         s.force_n for r in motion.records for s in r.inputs.load_cells if s.status == (Status.OK, Status.OK)
@@ -150,14 +150,14 @@ def _mean(motion: Motion, asked_n: float, thrust_n: float) -> Level:
 
 @dataclass(frozen=True)
 class Fit:
-    """Cells against the square of the speed.
+    """Fit of the cells over the squared speed.
 
     Attributes:
-        zero_n: of both cells.
-        zero_uncertainty_n: of their sum, half of its 95 % interval.
-        n_per_rpm2: of both together.
-        residual_n: rms.
-        levels: what was fitted.
+        zero_n: zeros of both cells, N.
+        zero_uncertainty_n: half of the 95 % interval of their sum.
+        n_per_rpm2: slope of the sum of both cells.
+        residual_n: RMS residual.
+        levels: fitted levels.
     """
 
     zero_n: tuple[float, float]
@@ -167,20 +167,20 @@ class Fit:
     levels: tuple[Level, ...]
 
     def speed_at(self, asked_n: float) -> float:
-        """Speed that belongs to a force that is asked for."""
-        asked = [level.asked_n for level in self.levels]
-        order = np.argsort(asked)
+        """Return the speed for a commanded force, from the fit of the levels."""
+        forces_n = [level.asked_n for level in self.levels]
+        order = np.argsort(forces_n)
         speeds = np.array([level.speed_rpm for level in self.levels])
-        return float(np.interp(asked_n, np.array(asked)[order], speeds[order]))
+        return float(np.interp(asked_n, np.array(forces_n)[order], speeds[order]))
 
     def rated_current_a(self, rated_rpm: float) -> float:
-        """Battery current at the rated speed: it goes with the cube of the speed, all but for the sag."""
+        """Return the battery current at the rated speed, scaled by speed cubed, without voltage sag."""
         per = [level.input_a * (rated_rpm / level.speed_rpm) ** 3 for level in self.levels]
         return float(np.mean(per))
 
 
 def fit(levels: Sequence[Level]) -> Fit:
-    """Straight lines of both cells over the square of the speed."""
+    """Fit straight lines to both cells over the squared speed."""
     square: Array = np.array([level.speed_rpm**2 for level in levels])
     both: Array = np.array([[level.cell_1_n, level.cell_2_n] for level in levels])
     design = np.column_stack([np.ones(len(levels)), square / square.max()])
@@ -199,7 +199,7 @@ def fit(levels: Sequence[Level]) -> Fit:
 
 
 def draw(ctx: Context, found: Fit) -> None:
-    """Cells against the square of the speed, with the fitted line."""
+    """Draw the cells over the squared speed, with the fitted line."""
     from hil.report.plot_style import SERIES, new_figure, style
 
     levels, figure = found.levels, new_figure(4.6, 2.6)

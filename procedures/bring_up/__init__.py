@@ -1,8 +1,8 @@
-"""The first run on a bench, and after every change to it: is everything there and the right way round?
+"""The first run on a bench, and after every change to it: checks that all devices work with the right signs.
 
-Who answers, with which firmware and limits; how fast and how evenly the samples come; how the devices'
-clocks drift; and, by motions of millimetres, whether every drive, steering axis, encoder, gyro and camera
-goes the way the bench believes. Signs that are wrong are left as a fragment of `bench.toml`.
+It checks which devices answer, with which firmware and limits; the rate and jitter of the samples; the drift
+of the devices' clocks; and, by motions of millimetres, the direction of every drive, steering axis, encoder,
+gyro and camera against the configured signs. Corrected signs are left as a fragment of `bench.toml`.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ from hil.robot.trajectories import Trajectory, line
 
 _DEG = float(np.degrees(1.0))
 _PUSHES = 0.5
-"""Least cosine between where a drive pushes and where it should."""
+"""Least cosine between measured and expected push of a drive."""
 _CLEAR = 0.5
-"""Of what is measured: below it something else moved, or hardly anything."""
+"""Least measured value of a clear direction: below it something else moved, or hardly anything."""
 _MOST_DRIFT_PPM = 90.0
 
 
 class Parameters(BaseModel):
-    """Which devices there should be, how long to watch them, and how far to move."""
+    """Required devices, observation time, and size of the motions."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     devices: tuple[Device, ...] = Field(KINDS, description="Devices that must be there and answer.")
@@ -74,7 +74,7 @@ class Parameters(BaseModel):
 
     @property
     def body(self) -> str:
-        """Devices whose poses show how the body moves."""
+        """Device whose poses show the motion of the body."""
         return "mocap" if "mocap" in self.devices else "tracker"
 
     @model_validator(mode="after")
@@ -85,9 +85,9 @@ class Parameters(BaseModel):
 
 
 def age_limit_ms(name: str, config: BenchConfig) -> float:
-    """How old a device's samples may be on arrival: its transport time, and one cycle where samples wait.
+    """Return the age limit of samples on arrival, ms: transport time, plus one cycle if samples wait.
 
-    Frames of a CAN bus wait for the loop in a queue, and so do prefetched samples.
+    CAN frames and prefetched samples wait for the loop in a queue.
     """
     device = config.devices().get(name)
     waits = device is not None and device.waits_for_loop()
@@ -95,7 +95,7 @@ def age_limit_ms(name: str, config: BenchConfig) -> float:
 
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
-    """One set per device, one per joint."""
+    """Yield the measurements of each device and each joint."""
     yield Measurement("devices", "1", low=float(len(p.devices)), rationale="opened and identified themselves")
     yield Measurement(
         "servos.failed_checks", "1", high=0.0, rationale="hardware errors and the like; see the table"
@@ -195,21 +195,21 @@ def _of_directions(p: Parameters) -> Iterator[Measurement]:
 
 
 def steps(p: Parameters, start: Array) -> list[Trajectory]:
-    """Small motions of the whole body: forwards, to the left, and a turn."""
+    """Return small motions of the body: forwards, to the left, and a turn."""
     pose = np.asarray(start, dtype=np.float64)
     ways = {"x": [p.step_m, 0.0, 0.0], "y": [0.0, p.step_m, 0.0], "heading": [0.0, 0.0, p.turn_deg / _DEG]}
     return [line(pose, pose + way, speed_m_s=0.05, name=f"step {name}") for name, way in ways.items()]
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """All steps; only the last follows trajectories."""
+    """Plan all steps; only the last one follows trajectories."""
     for title in ("identity", "streams", "steering", "drives"):
         yield PlannedStep(title)
     yield PlannedStep("body", tuple(steps(p, np.array(config.environment.start_pose))))
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """How many devices answered, and whether they go the right way."""
+    """Return how many kinds of devices answered, and whether their directions are right."""
     reported = ("_response", ".straight", ".across")
     ways = {name: value for name, value in v.items() if name.endswith(reported)}
     turned = sum(value <= -_CLEAR for value in ways.values())
@@ -241,7 +241,7 @@ def run(ctx: Context) -> None:
         stands_as_given = watch(ctx, bench)
     if not stands_as_given:
         ctx.note(
-            "Nothing was moved: by the IMU the robot is tilted otherwise than environment.tilt_rad says. "
+            "Nothing was moved: the tilt measured by the IMU differs from environment.tilt_rad. "
             "Correct that, or the mount of the IMU (imu.mount_rotation_wxyz); `hil doctor` shows both angles."
         )
         return
@@ -253,7 +253,7 @@ def run(ctx: Context) -> None:
         across = jog_drives(bench, p.body, np.pi / 2.0, p.drive_rad_s)
         _measure_drives(ctx, straight, across, steer)
     if not ctx.passing():
-        ctx.note("The body was not moved: that is left for when everything above is right.")
+        ctx.note("The body was not moved: first correct everything that failed above.")
         return
     with ctx.step("body", timeout_s=120.0):
         move_body(ctx, bench)
@@ -261,7 +261,7 @@ def run(ctx: Context) -> None:
 
 
 def _signs(ctx: Context) -> dict[str, Any]:
-    """Signs that were seen to be right: as configured."""
+    """Return the configured signs, once they are confirmed."""
     config = ctx.source.config
     encoders = config.of(EncodersConfig)
     values: dict[str, Any] = {
@@ -274,7 +274,7 @@ def _signs(ctx: Context) -> dict[str, Any]:
 
 
 def identify(ctx: Context, bench: Bench) -> None:
-    """The devices, and the servos' registers."""
+    """Check the identities of the devices, and the registers of the servos."""
     found = {d.name: dict(d.identity()) for d in bench.rig.devices()}
     ctx.measure("devices", sum(bool(f) for f in found.values()))
     rows = [
@@ -293,7 +293,7 @@ def identify(ctx: Context, bench: Bench) -> None:
 
 
 def watch(ctx: Context, bench: Bench) -> bool:
-    """Rest, and look at the streams of all devices; whether the robot is tilted as the bench file says."""
+    """Rest and measure the streams of all devices; return whether the tilt agrees with the bench file."""
     p: Parameters = ctx.parameters
     stand(bench)
     motion = bench.observe(p.watch_s, feedback="odometry")
@@ -312,7 +312,7 @@ def watch(ctx: Context, bench: Bench) -> bool:
 
 
 def _keep_steering(ctx: Context, motion: Motion) -> None:
-    """How the external encoders stand against the servos at rest: the next sessions compare with it."""
+    """Store the offsets of external encoders and servos at rest, for comparison in later sessions."""
     encoders = [s for r in motion.records for s in r.inputs.encoders]
     servos = [s for r in motion.records for s in r.inputs.servos]
     offsets_rad = encoder_minus_servo(ctx.source.config, encoders, servos)
@@ -321,7 +321,7 @@ def _keep_steering(ctx: Context, motion: Motion) -> None:
 
 
 def _measure_tilt(ctx: Context, motion: Motion) -> bool:
-    """Gravity by the IMU beside `environment.tilt_rad`; False where they contradict each other."""
+    """Compare the tilt measured by the IMU with `environment.tilt_rad`; return False if they differ."""
     p: Parameters = ctx.parameters
     config = ctx.source.config
     if not _tilt_is_seen(p, config):
@@ -333,13 +333,13 @@ def _measure_tilt(ctx: Context, motion: Motion) -> bool:
 
 
 def _measure_punctuality(ctx: Context, motion: Motion) -> None:
-    """How late this computer was itself: what it missed then, the devices are not to blame for."""
+    """Measure how late this computer's loop was; samples missed then are not the devices' fault."""
     between_s = float(np.diff(motion.t_s).max(initial=0.0))
     ctx.measure("loop.largest_gap", 1e3 * between_s)
     if between_s > 1.5 / ctx.source.config.loop.rate_hz:
         ctx.note(
             f"This computer was late itself: up to {1e3 * between_s:.0f} ms passed between two cycles. Gaps "
-            "of that size, and samples missing then, are its own. `hil doctor` says what helps."
+            "of that size, and samples missing then, are not the devices' fault. `hil doctor` shows remedies."
         )
 
 
@@ -402,7 +402,7 @@ def _turned(configured: tuple[int, ...], found: Array) -> list[int]:
 
 
 def move_body(ctx: Context, bench: Bench) -> None:
-    """Move the whole body a little along each axis and hold the sensors against each other."""
+    """Move the body a little along each axis and compare the sensors."""
     p: Parameters = ctx.parameters
     rows = []
     for axis, name in enumerate(("x", "y", "heading")):
@@ -425,7 +425,7 @@ def move_body(ctx: Context, bench: Bench) -> None:
 
 
 def _went(motion: Motion, source: str, axis: int) -> float:
-    """Change of one coordinate, in body axes at the start, from the first to the last 0.2 s."""
+    """Return the change of one coordinate, in body axes at the start, from the first to the last 0.2 s."""
     series, end_s = poses(motion, source), float(motion.t_s[-1])
     first, last = series.between(-1.0, 0.1), series.between(end_s - 0.2, end_s + 1.0)
     if axis == 2:

@@ -1,8 +1,8 @@
-"""Small motions of single joints: which way does a wheel push the body, and which axis turns?
+"""Small motions of single joints: measures in which direction a wheel pushes, and which axis turns.
 
-A jog goes out and back. What the body does on the way out minus what it does on the way back leaves
-out what happens anyway (sag on a wall), so that a tenth of a millimetre is enough to see a direction.
-Every rest is looked at for longer than motion capture is silent for (0.2 s at most, as emulated).
+A jog goes out and back. The difference of the body motions out and back cancels motion in a constant
+direction (sag on a wall), so that a tenth of a millimetre is enough to detect a direction. Every rest is
+observed for longer than gaps of motion capture (at most 0.2 s, as emulated).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from hil.procedure.scripted_joints import Stretch, play
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
 _SETTLE_S = 1.5
 _LIKE = 0.5
-"""Cosine of pushes, and share of a turn, from which on two joints do the same."""
+"""Cosine of pushes, or share of a turn, above which two joints count as the same."""
 
 
 @dataclass(frozen=True)
 class DriveJogs:
-    """What one round of drive jogs at one steering angle showed.
+    """Result of one round of drive jogs at one steering angle.
 
     Attributes:
-        steering_rad: of all wheels, commanded.
-        expected, found: (4, 3) body displacement per wheel as unit vectors; the turn counts with the
+        steering_rad: commanded steering angle of all wheels.
+        expected, found: (4, 3) body displacement per wheel as unit vectors; the turn is scaled by the
             wheels' distance from the centre.
-        moved_m: (4,) length of the displacement, half of out minus back.
+        moved_m: (4,) length of the displacement: half of out minus back.
     """
 
     steering_rad: float
@@ -42,19 +42,19 @@ class DriveJogs:
     moved_m: Array
 
     def agreement(self) -> Array:
-        """(4,) cosine between found and expected: 1 as it should be, -1 the other way round."""
+        """Return the (4,) cosine between found and expected push: 1 for the right direction, -1 reversed."""
         return np.asarray(np.diag(self.agreements()), dtype=np.float64)
 
     def agreements(self) -> Array:
-        """(4, 4) cosine `[found, expected]`: between the push of one wheel and that which one should give."""
+        """Return the (4, 4) cosine `[found, expected]` between the pushes of each pair of wheels."""
         return np.asarray(self.found @ self.expected.T, dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class SteerJogs:
-    """Turn of every axis over the commanded turn of one: `[moved, commanded]`, (4, 4) each.
+    """Turn of every axis over the commanded turn of one axis: `[moved, commanded]`, (4, 4) each.
 
-    Without encoders theirs is NaN.
+    The values of missing encoders are NaN.
     """
 
     servo: Array
@@ -62,7 +62,7 @@ class SteerJogs:
 
 
 def jog_steering(bench: Bench, angle_rad: float) -> SteerJogs:
-    """Turn one steering axis after the other out and back."""
+    """Turn the steering axes out and back, one after the other."""
     pose = bench.settle(0.3)
     stretches, marks, t_s = [], [], 0.0
     for wheel in range(4):
@@ -81,20 +81,20 @@ def jog_steering(bench: Bench, angle_rad: float) -> SteerJogs:
 
 
 def _responses(series: Series, columns: slice, marks: list[float], angle_rad: float) -> Array:
-    """Turn of every axis over the commanded one, from the ends of the jogs to either side."""
+    """Return the turn of every axis over the commanded turn, from the ends of the jogs to either side."""
     rows = [series.between(t - _LOOK_S, t)[columns] for t in marks]
     turned = [rows[2 * k] - rows[2 * k + 1] for k in range(4)]
     return np.asarray(np.array(turned).T / (2.0 * angle_rad), dtype=np.float64)
 
 
 def jog_drives(bench: Bench, source: str, steering_rad: float, rate_rad_s: float) -> DriveJogs:
-    """Roll one wheel after the other out and back, all steered to one angle.
+    """Roll the wheels out and back, one after the other, all steered to one angle.
 
     Args:
         bench: open and enabled.
-        source: whose poses show the body's motion, `mocap` or `tracker`.
-        steering_rad: at which to do it.
-        rate_rad_s: of the wheel.
+        source: device whose poses show the body's motion, `mocap` or `tracker`.
+        steering_rad: steering angle of all wheels.
+        rate_rad_s: rate of the wheel.
     """
     pose = bench.settle(0.3)
     angles = np.full(4, steering_rad)
@@ -127,7 +127,7 @@ def _arms(config: BenchConfig) -> Array:
 
 
 def expected_push(config: BenchConfig, steering_rad: float, reach_m: float) -> Array:
-    """(4, 3) unit vectors: where a push of each wheel along its heading takes the body."""
+    """Return (4, 3) unit vectors: body displacement by a push of each wheel along its heading."""
     x, y = np.array(config.robot.wheel_x_m), np.array(config.robot.wheel_y_m)
     c, s = math.cos(steering_rad), math.sin(steering_rad)
     push = np.stack([np.full(4, c), np.full(4, s), (x * s - y * c) / reach_m], axis=1)
@@ -136,7 +136,7 @@ def expected_push(config: BenchConfig, steering_rad: float, reach_m: float) -> A
 
 @dataclass(frozen=True)
 class Signs:
-    """Signs found, relative to the configured ones: (4,) of 1, -1, or 0 where it cannot be said."""
+    """Signs found, relative to the configured ones: (4,) of 1, -1, or 0 if unclear."""
 
     drive: Array
     steer: Array
@@ -144,10 +144,10 @@ class Signs:
 
 
 def find_signs(straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> Signs:
-    """Which drives, steering axes and encoders run the other way than the bench believes.
+    """Find drives, steering axes and encoders whose direction differs from the configured signs.
 
-    A drive that is the other way round pushes backwards at every steering angle; a steering axis that
-    is, pushes backwards only across.
+    A reversed drive pushes backwards at every steering angle; a wheel with a reversed steering axis
+    pushes backwards only when steered across.
     """
     first, second = _sign(straight.agreement()), _sign(across.agreement())
     turned = _sign(np.diag(steer.encoder))
@@ -155,17 +155,17 @@ def find_signs(straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> Sign
 
 
 def exchanged_drives(straight: DriveJogs, across: DriveJogs) -> list[tuple[int, int]]:
-    """Pairs of drives of which each pushes where the other one should, and not where it should itself."""
+    """Return pairs of drives that each push in the direction expected of the other, and not in their own."""
     return _exchanged(np.minimum(straight.agreements(), across.agreements()))
 
 
 def exchanged_axes(steer: SteerJogs) -> list[tuple[int, int]]:
-    """Pairs of steering axes of which each turns, by the encoders, when the other one is commanded."""
+    """Return pairs of steering axes that each turn, by the encoders, when the other one is commanded."""
     return _exchanged(np.nan_to_num(steer.encoder))
 
 
 def _exchanged(alike: Array) -> list[tuple[int, int]]:
-    """Pairs that are each other's by a matrix (4, 4) in which 1 stands for alike."""
+    """Return pairs that match each other and not themselves in a (4, 4) matrix, where 1 is a match."""
     return [
         (a, b)
         for a in range(4)
@@ -180,7 +180,7 @@ def _sign(cosine: Array) -> Array:
 
 
 def reversed_names(found: Array, what: str) -> list[str]:
-    """Names of the joints whose sign is not the configured one."""
+    """Return the names of the joints whose sign is reversed or unclear."""
     return [
         f"{what} {w} {'unclear' if s == 0 else 'reversed'}"
         for w, s in zip(WHEELS, found, strict=True)

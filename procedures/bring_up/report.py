@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
-    """Rates, gaps and ages."""
+    """Add a table of rates, gaps and ages."""
     rows = [
         [
             name,
@@ -44,7 +44,7 @@ def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
 
 
 def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> set[str]:
-    """Name servos that do each other's work, and what to exchange; returns their wheels."""
+    """Note which servos are probably exchanged, and how to correct it; return the names of their joints."""
     servos, named = ctx.source.config.of(ServosConfig), set()
     assert servos is not None
     for what, pairs, ids, seen, beside in (
@@ -68,7 +68,7 @@ def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: 
 
 
 def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:
-    """Gaps of every stream: median to 99th percentile as a bar, the largest as a mark."""
+    """Draw the gaps of every stream: median to 99th percentile as a bar, the largest as a mark."""
     names = list(streams)
     figure = new_figure(5.2, 0.66 + 0.42 * len(names))
     axes = style(figure.add_subplot(), "time between samples (ms)", "")
@@ -95,7 +95,7 @@ def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:
 
 
 def draw_clocks(ctx: Context, streams: Mapping[str, Stream]) -> None:
-    """How the devices' clocks run away from the bench's."""
+    """Draw the drift of the devices' clocks against the bench clock."""
     figure = new_figure(5.2, 2.5)
     axes = style(figure.add_subplot(), "time (s)", "delay against own clock (ms)")
     for colour, (name, stream) in zip(SERIES, streams.items(), strict=False):
@@ -111,7 +111,7 @@ def draw_clocks(ctx: Context, streams: Mapping[str, Stream]) -> None:
 
 
 def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
-    """Plan of the robot: where each wheel pushed the body, and where it should have."""
+    """Draw a plan of the robot with the measured and the expected push of each wheel."""
     robot = ctx.source.config.robot
     figure = new_figure(5.2, 3.0)
     for column, jogs in enumerate(rounds, start=1):
@@ -148,7 +148,7 @@ def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
 
 
 def _arrow(axes: Axes, x: float, y: float, push: Array, colour: str, width: float) -> None:
-    """Displacement of a wheel's place under a body displacement (unit vector), drawn 80 mm long."""
+    """Draw the displacement of a wheel's place under a body displacement (unit vector), 80 mm long."""
     reach = np.hypot(x, y)
     turn = push[2] / reach
     step = np.array([push[0] - turn * y, push[1] + turn * x])

@@ -1,4 +1,4 @@
-"""How well the samples of a device come: rate, gaps, age on arrival, drift of the device's clock."""
+"""Statistics of a device's samples: rate, gaps, age on arrival, drift of the device's clock."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _BLOCKS = 24
 
 @dataclass(frozen=True)
 class Stream:
-    """Facts about one stream.
+    """Statistics of one stream.
 
     Attributes:
         rate_hz: usable samples per second.
-        delivered: usable samples over those that were due.
-        gap_s: between samples as they were measured: median, 99th percentile, largest.
-        age_s: from measurement to arrival: median and 99th percentile.
-        drift_ppm: device clock against the bench clock, positive when it runs fast; NaN without one.
+        delivered: usable samples over due samples.
+        gap_s: time between measurements: median, 99th percentile, largest.
+        age_s: time from measurement to arrival: median and 99th percentile.
+        drift_ppm: device clock against the bench clock, positive if it runs fast; NaN without one.
         drift_uncertainty_ppm: half of the 95 % interval.
-        lag: (2, n) time and delay against the device's clock, s, smallest per block, for a figure.
+        lag: (2, n) time and smallest delay against the device's clock per block, s, for a figure.
     """
 
     rate_hz: float
@@ -39,7 +39,7 @@ class Stream:
 
 
 def series_of(device: str, motion: Motion, config: BenchConfig) -> Series:
-    """Usable samples of a device by its name."""
+    """Return the usable samples of a device."""
     if device == "servos":
         return wheels(motion)
     if device == "encoders":
@@ -52,7 +52,7 @@ def series_of(device: str, motion: Motion, config: BenchConfig) -> Series:
 
 
 def due(device: str, series: Series, duration_s: float, config: BenchConfig) -> float:
-    """How many samples a device should have delivered; by their own period where its owner chose the rate."""
+    """Return the number of due samples; from their median period if the device's rate is set by the user."""
     rate_hz = kinds()[device].rate_hz(config.devices()[device], config.loop.rate_hz)
     if not np.isnan(rate_hz):
         return duration_s * rate_hz
@@ -61,7 +61,7 @@ def due(device: str, series: Series, duration_s: float, config: BenchConfig) -> 
 
 
 def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
-    """Facts about a device's samples in a motion (a rest, for ages that mean something)."""
+    """Return the statistics of a device's samples in a motion (at rest, for meaningful ages)."""
     series = series_of(device, motion, config).since(0.0)
     duration_s = float(motion.t_s[-1])
     if len(series) < 10:
@@ -81,15 +81,15 @@ def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
 
 
 def clock_drift(series: Series, arrived_s: Array) -> tuple[float, float, Array]:
-    """Drift of a device's clock in ppm, half of its 95 % interval, and the delays it was found from.
+    """Return the drift of a device's clock in ppm, half of its 95 % interval, and the fitted delays.
 
-    Transport only delays: the smallest delay in each block of time is the one to look at, and a
-    straight line through these (Theil and Sen's) forgives the blocks in which none came quickly.
+    Transport can only add delay: the smallest delay in each block of time is used, and a robust line
+    through these (Theil-Sen) tolerates blocks without a fast sample.
 
     Args:
-        series: with the device's own times.
-        arrived_s: (n,) on the bench clock. Frames that wait for the loop in a queue (encoders) have
-            their arrival in the measured time instead.
+        series: samples with the device's own times.
+        arrived_s: (n,) arrival on the bench clock. For frames that wait for the loop in a queue
+            (encoders) the time of measurement is their arrival.
     """
     known = np.isfinite(series.device_s)
     if known.sum() < 4 * _BLOCKS:
@@ -99,7 +99,7 @@ def clock_drift(series: Series, arrived_s: Array) -> tuple[float, float, Array]:
     edges = np.linspace(at[0], at[-1], _BLOCKS + 1)[1:-1]
     blocks = [b for b in np.split(np.arange(len(at)), np.searchsorted(at, edges)) if len(b)]
     best = np.array([b[np.argmin(delay[b])] for b in blocks])
-    from scipy.stats import theilslopes  # takes 1 s to import, and is not needed to drive
+    from scipy.stats import theilslopes  # takes 1 s to import, not needed to drive
 
     slope, _, low, high = theilslopes(delay[best], device[best], 0.95)
     lag = np.stack([at[best], delay[best] - delay[best].min()])

@@ -1,9 +1,9 @@
-"""The BNO055 on the robot: its own offsets stored and restored, its noise, and its heading from gravity.
+"""Calibrates the BNO055 on the robot: stores and restores its offsets, measures noise and gravity heading.
 
-The chip learns its gyro offsets at rest. They are read out, kept in a file, and written back after the
-chip was started anew; what it then measures says whether that worked. Noise and bias stability come
-from the Allan deviation of the turn rate at rest. On a wall, gravity lies in the plane of motion and
-gives the heading; motion capture says by how much it is off, which is put into the mount's rotation.
+The chip learns its gyro offsets at rest. They are read out, stored in a file, and written back after a
+restart of the chip; new measurements then check the result. Noise and bias stability come from the Allan
+deviation of the turn rate at rest. On a wall, gravity lies in the plane of motion and gives the heading;
+its offset from motion capture is corrected in the mount's rotation.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _NOISE_LIMIT = 0.03
 
 
 class Parameters(BaseModel):
-    """How long to rest, and how far to turn on the wall."""
+    """Duration of the rests, and size of the turns on the wall."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     rest_s: float = Field(
@@ -64,14 +64,14 @@ class Parameters(BaseModel):
 
 
 class StoresOffsets(Protocol):
-    """What is asked of the IMU beside its samples: `hil.drivers.imu.Bno055Imu`."""
+    """Required interface of the IMU beside its samples: `hil.drivers.imu.Bno055Imu`."""
 
     def read_calibration(self) -> Any:
-        """Offsets that the chip has learnt; a value with `save(path)`."""
+        """Return the offsets that the chip has learnt, an object with `save(path)`."""
 
 
 def measurements(p: Parameters) -> Iterable[Measurement]:
-    """Limits are the data sheet's where it has any (BST-BNO055-DS000, table 0-2)."""
+    """Return the measurements; limits are from the data sheet if it has any (BST-BNO055-DS000, table 0-2)."""
     yield Measurement(
         "gyro_level", "1", low=3.0, rationale="the chip's own judgement of its gyro's calibration, 0 to 3"
     )
@@ -136,17 +136,17 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
 
 
 def white_floor_deg_h(rest_s: float) -> float:
-    """Apparent bias instability of a chip at the noise limit, at the longest averaging time of a rest."""
+    """Return the apparent bias instability of a chip at the noise limit, at the longest averaging time."""
     return 3600.0 * _NOISE_LIMIT / BIAS_FACTOR / math.sqrt(rest_s / FEWEST)
 
 
 def headings(p: Parameters) -> Array:
-    """Headings relative to the start, rad, one after the other."""
+    """Return the headings to visit, relative to the start, rad."""
     return np.radians(np.linspace(-p.heading_deg, p.heading_deg, p.headings))
 
 
 def turns(p: Parameters, start: Array) -> list[Trajectory]:
-    """From the start through all headings and back to the start's."""
+    """Return the turns from the start through all headings and back."""
     stops = np.array([0.0, *headings(p), 0.0])
     poses_in_wall = np.asarray(start, dtype=np.float64) + stops[:, None] * np.array([0.0, 0.0, 1.0])
     return [
@@ -156,7 +156,7 @@ def turns(p: Parameters, start: Array) -> list[Trajectory]:
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """Rests and small turns."""
+    """Plan the rests and small turns."""
     yield PlannedStep("learn")
     yield PlannedStep("store")
     yield PlannedStep("rest")
@@ -165,7 +165,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """What is left of the gyro's offset, and how well gravity gives the heading."""
+    """Return the remaining gyro offset, and the accuracy of the gravity heading."""
     return (
         f"With its offset stored, the gyro drifts by {abs(v['restored_bias']):.3f} deg/s. Gravity gives the "
         f"heading within {abs(v['corrected_heading']):.2f} deg."
@@ -210,7 +210,7 @@ def run(ctx: Context) -> None:
 
 
 def learn(bench: Bench, p: Parameters) -> float:
-    """Rest until the chip says that its gyro is calibrated, or time is over; its level."""
+    """Rest until the chip reports a calibrated gyro, or time is over; return its calibration level."""
     stand(bench)
     level = 0
     for _ in range(int(np.ceil(p.learn_s))):
@@ -222,7 +222,7 @@ def learn(bench: Bench, p: Parameters) -> float:
 
 
 def store(ctx: Context, bench: Bench) -> tuple[Any, Path]:
-    """Read the offsets out and keep them in a file."""
+    """Read the offsets from the chip and store them in a file."""
     stored = cast(StoresOffsets, bench.rig.get("imu")).read_calibration()
     path = ctx.folder / "imu_offsets.toml"
     stored.save(path)
@@ -245,7 +245,7 @@ def store(ctx: Context, bench: Bench) -> tuple[Any, Path]:
 
 
 def rest(ctx: Context, bench: Bench) -> None:
-    """Noise and bias of the turn rate, and noise of the accelerometer, at rest."""
+    """Measure noise and bias of the turn rate, and noise of the accelerometer, at rest."""
     stand(bench)
     data = inertial(bench.observe(ctx.parameters.rest_s, feedback="odometry"))
     if len(data) < 100:
@@ -273,7 +273,7 @@ def rest(ctx: Context, bench: Bench) -> None:
 
 
 def turn_and_compare(ctx: Context, bench: Bench) -> float:
-    """Dwell at several headings; returns gravity minus motion capture at the mean heading, rad."""
+    """Dwell at several headings; return gravity minus motion capture at the mean heading, rad."""
     p: Parameters = ctx.parameters
     found = []
     pose = stand(bench)
@@ -311,9 +311,9 @@ def _dwell(bench: Bench, p: Parameters) -> tuple[float, float]:
 
 
 def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
-    """Start the chip anew with the stored offsets and the corrected mount, and look whether both hold.
+    """Restart the chip with the stored offsets and the corrected mount, and check both.
 
-    What the bench believes changes; how an emulated chip is mounted does not.
+    Only the configuration changes, not the mount of an emulated chip.
     """
     config = ctx.source.config.of(Bno055Config)
     assert config is not None

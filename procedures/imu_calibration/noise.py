@@ -1,4 +1,4 @@
-"""Allan deviation of a rate sensor at rest, and the noise and bias that follow from it."""
+"""Allan deviation of a rate sensor at rest, with the noise density and bias instability from it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Allan:
     spread: Array
 
     def white_noise(self) -> tuple[float, float]:
-        """Noise density (unit times root second) and its standard deviation, from times up to 0.5 s.
+        """Return noise density (unit times root second) and its standard deviation, from times up to 0.5 s.
 
         White noise falls with the root of the averaging time (IEEE Std 952, annex C).
         """
@@ -40,16 +40,16 @@ class Allan:
         return density, density * float(self.spread[short].min())
 
     def bias_instability(self) -> tuple[float, float]:
-        """Flat part of the curve as bias instability, and the averaging time at which it is reached.
+        """Return the bias instability (flat part of the curve) and the averaging time at which it is reached.
 
-        An upper bound where the curve still falls at the longest time.
+        It is an upper bound if the curve still falls at the longest time.
         """
         k = int(np.argmin(self.deviation))
         return float(self.deviation[k] / BIAS_FACTOR), float(self.tau_s[k])
 
 
 def allan(rate: Array, period_s: float) -> Allan:
-    """Overlapping Allan deviation of evenly spaced rates, (n,), at about eight times per decade.
+    """Return the overlapping Allan deviation of evenly spaced rates, (n,), at about eight times per decade.
 
     The relative spread is that of white noise with n / m - 1 independent differences.
     """
@@ -66,7 +66,7 @@ def allan(rate: Array, period_s: float) -> Allan:
 
 
 def evenly(t_s: Array, values: Array, period_s: float) -> Array:
-    """Samples on an even grid by the nearest one in time: noise is not smoothed as by interpolation."""
+    """Resample to an even grid by the nearest sample: unlike interpolation this does not smooth noise."""
     grid = np.arange(t_s[0], t_s[-1], period_s)
     after = np.clip(np.searchsorted(t_s, grid), 1, len(t_s) - 1)
     nearest = np.where(grid - t_s[after - 1] < t_s[after] - grid, after - 1, after)

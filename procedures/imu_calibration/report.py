@@ -15,7 +15,7 @@ _DEG = float(np.degrees(1.0))
 
 
 def draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> None:
-    """Deviation by averaging time, per axis, beside the white noise found."""
+    """Draw the Allan deviation over averaging time, per axis, and the fitted white noise."""
     figure = new_figure(5.2, 3.1)
     axes = style(figure.add_subplot(), "averaging time (s)", "Allan deviation (deg/s)")
     for colour, (axis, curve) in zip(SERIES, curves.items(), strict=False):
@@ -43,7 +43,7 @@ def draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> Non
 
 
 def draw_headings(ctx: Context, true: Array, error: Array, offset: float, slope: float) -> None:
-    """Error of the heading from gravity by heading, as figure and table; all in rad."""
+    """Draw and tabulate the error of the gravity heading over heading; all arguments in rad."""
     figure = new_figure(5.2, 2.6)
     axes = style(
         figure.add_subplot(), "heading by motion capture (deg)", "gravity minus motion capture (deg)"

@@ -1,12 +1,12 @@
-"""From command to motion, and from motion to knowledge: delays of the whole chain on the bench's clock.
+"""Measures delays on the bench's clock: from command to motion, and from motion to the sample in the loop.
 
-The robot turns to and fro by a few degrees, then its steering axes do. Every device's signal is fitted
-against what was commanded when: by its own time stamps, which says how wrong they are, and with the time
-to arrival, which says how old the loop's knowledge is. Body motion is what motion capture saw.
+The robot turns to and fro by a few degrees, then its steering axes do. The signal of every device is fitted
+to the commands: with its own time stamps, which gives their error, and with the arrival times, which gives
+the age of the data in the loop. Body motion is that measured by motion capture.
 
-Stamps are held against those of motion capture and of the servos, which are taken as right. Those of the
-inertial unit differ from run to run: its fusion runs on its own 100 Hz, half a period of which is all that
-a driver can know, and a loop of the same rate meets it in one and the same phase.
+Stamps are compared with those of motion capture and of the servos, which are assumed to be right. Stamps of
+the inertial unit differ from run to run: its fusion runs at its own 100 Hz, so a driver knows its phase only
+to half a period, and a loop of the same rate samples it at a constant phase.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _HALF = "half of the 95 % interval"
 
 
 class Parameters(BaseModel):
-    """What to compare beside servos and motion capture, and how much to move."""
+    """Devices to compare beside servos and motion capture, and size of the motions."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     devices: tuple[Compared, ...] = Field(
@@ -70,14 +70,14 @@ class Parameters(BaseModel):
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal against the command.
+    """One signal compared with the command.
 
     Attributes:
-        t_s, path: for a figure.
-        delay: behind the command, by its stamps.
-        age_s: median on arrival, by its stamps.
-        stamp: how much later its stamps are than the truth; for the two that are the truth, what they are
-            trusted to.
+        t_s, path: time and path, for a figure.
+        delay: delay behind the command, by its stamps.
+        age_s: median age on arrival, by its stamps.
+        stamp: how much later its stamps are than the reference; for the two references, their assumed
+            accuracy.
     """
 
     t_s: Array
@@ -88,11 +88,11 @@ class Signal:
 
     @property
     def known_s(self) -> float:
-        """From the command until the loop has seen it, whatever the stamps say: mean delay and median age."""
+        """Time from command to sample in the loop, independent of stamps: mean delay plus median age."""
         return self.delay.delay_s + self.age_s
 
     def against(self, truth: Signal) -> Signal:
-        """With its stamps held against those of another signal of the same motion."""
+        """Return the signal with the error of its stamps against another signal of the same motion."""
         half_s = math.hypot(self.delay.uncertainty_s, truth.delay.uncertainty_s)
         return replace(
             self,
@@ -101,7 +101,7 @@ class Signal:
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
-    """Delays in ms; each with half of its 95 % interval."""
+    """Yield the delays in ms, each with half of its 95 % interval."""
     for name, why in (
         ("body.command_to_motion", "bus, motors and tyres; recorded on the robot: 40 to 100"),
         ("wheels.command_to_motion", "as above, by the drives' own encoders"),
@@ -150,17 +150,17 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """Small turns of the body, then of the axes."""
+    """Plan small turns of the body, then of the steering axes."""
     yield PlannedStep("turns")
     yield PlannedStep("steering")
     yield PlannedStep("evaluate")
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """From command to motion to knowledge."""
+    """Return the delay from command to motion, and the device with the latest sample."""
     known = {name.partition(".")[0]: t for name, t in v.items() if name.endswith(".command_to_known")}
     last = max(known, key=lambda name: known[name]) if known else ""
-    message = f" The last to tell of it is {last}, after {known[last]:.0f} ms." if last else ""
+    message = f" The latest report is that of {last}, after {known[last]:.0f} ms." if last else ""
     return f"The body moves {v['body.command_to_motion']:.0f} ms after its command.{message}"
 
 
@@ -186,13 +186,13 @@ def run(ctx: Context) -> None:
 
 
 def dwells(p: Parameters, count: int) -> list[float]:
-    """Uneven dwells, in pairs so that to and fro cancel: evenly spaced ones could hide a whole period."""
+    """Return uneven dwells, in pairs so that to and fro cancel; even ones could hide a whole period."""
     pairs = [p.dwell_s * (0.75 + 0.5 * ((k * _GOLDEN) % 1.0)) for k in range((count + 1) // 2)]
     return [d for d in pairs for _ in range(2)]
 
 
 def turn(bench: Bench, p: Parameters) -> Motion:
-    """Turn the body to and fro about where it stands."""
+    """Turn the body to and fro about its current heading."""
     pose = stand(bench)
     speed, angle = inverse(bench.geometry, np.array([0.0, 0.0, 1.0]))
     limits = ModuleLimits(steering_rad=bench.config.safety.steering_limit_rad)
@@ -210,7 +210,7 @@ def turn(bench: Bench, p: Parameters) -> Motion:
 
 
 def steer(bench: Bench, p: Parameters) -> Motion:
-    """Turn all steering axes to and fro in steps, wheels at rest."""
+    """Turn all steering axes to and fro in steps; the wheels do not roll."""
     pose = stand(bench)
     now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]
     play(bench, [Stretch(1.0, steering_rad=np.zeros(4)), Stretch(0.3)], pose, now)
@@ -223,7 +223,7 @@ def steer(bench: Bench, p: Parameters) -> Motion:
 
 
 def body_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, dict[str, Signal]]:
-    """Heading as commanded and as every device saw it."""
+    """Return the commanded heading, and the heading that every device measured."""
     geometry = bench.geometry
     rates = np.array([r.setpoint.wheel_rate_rad_s for r in motion.records])
     angles = np.array([r.setpoint.steering_rad for r in motion.records])
@@ -249,7 +249,7 @@ def body_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, 
 
 
 def steering_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, dict[str, Signal]]:
-    """Mean steering angle, summed over time, as commanded and as servos and encoders saw it."""
+    """Return the mean steering angle, integrated over time: commanded, and from servos and encoders."""
     angles = np.array([r.setpoint.steering_rad for r in motion.records]).mean(axis=1)
     command = Command(sent_s(motion), angles)
     rolled = wheels(motion).since(0.0)
@@ -283,7 +283,7 @@ def _age_s(series: Series) -> float:
 
 
 def values_ms(p: Parameters, body: Mapping[str, Signal], axes: Mapping[str, Signal]) -> dict[str, float]:
-    """Every measured delay by its name, each with half of its 95 % interval, ms."""
+    """Return every measured delay by its name, each with half of its 95 % interval, ms."""
     found: dict[str, float] = {}
 
     def note(name: str, delay_s: float, half_s: float) -> None:
@@ -304,7 +304,7 @@ def values_ms(p: Parameters, body: Mapping[str, Signal], axes: Mapping[str, Sign
 
 
 def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> None:
-    """Measurements, table and figures."""
+    """Set measurements; leave table and figures."""
     p: Parameters = ctx.parameters
     command, body = body_signals(bench, turning, p)
     axis_command, axes = steering_signals(bench, steering, p)
@@ -330,7 +330,7 @@ def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> N
 
 
 def _figures(measured_ms: Mapping[str, float]) -> dict[str, Figure]:
-    """Delays with their standard uncertainties, in s."""
+    """Return the delays with their standard uncertainties, in s."""
     half_ms = {name: measured_ms.get(f"{name}_uncertainty") for name in measured_ms}
     return {
         name: Figure(value=1e-3 * value, sigma=None if half is None else 0.5e-3 * half, unit="s")

@@ -1,13 +1,13 @@
-"""How much later than a command a signal follows, from a whole motion of many small reversals.
+"""Fits the delay of a signal behind a command, from a motion with many small reversals.
 
-Everything is compared as a path: the command and rate signals are integrated, so that a joint's angle, a
-turn rate and a heading have the same shape, a rounded triangle, and the same lag of the motors in it.
-The response is taken for a dead time and a first-order lag; their sum is its mean delay (its first
-moment), which adds up along a chain. A lag that is left out of the model would leave corners that no
-delay explains, and which of them fall into gaps of a signal would then decide its delay.
+All signals are compared as paths: commands and rates are integrated, so that a joint's angle, a turn rate
+and a heading have the same shape, a rounded triangle, with the same lag of the motors. The response is
+modelled as a dead time and a first-order lag; their sum is its mean delay (its first moment), which is
+additive along a chain. Without the lag in the model, residuals would remain at the corners, and the fitted
+delay would depend on which corners fall into gaps of a signal.
 
-Two sensors of one steering axis are compared by their angles instead: backlash between them holds the second
-one back at every reversal, and only while the axis is driven does it say nothing about time.
+Two sensors of one steering axis are compared by their angles instead: backlash between them delays the second
+one at every reversal, and does not affect the delay only while the axis is driven.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Delay:
     """Mean delay of a signal behind the command; `uncertainty_s` is half of the 95 % interval.
 
     Attributes:
-        gain: size of the signal over that of what it follows.
-        misfit: RMS of what is left over the RMS of the signal: 1 is a signal that does not follow.
+        gain: amplitude of the signal over that of the command.
+        misfit: RMS residual over the RMS of the signal; 1 for a signal that does not follow.
     """
 
     delay_s: float
@@ -51,11 +51,11 @@ _NOTHING = Delay(math.nan, math.nan, math.nan, math.nan)
 
 
 class Command:
-    """The path that was commanded: what was sent when, held until the next.
+    """The commanded path: commands with their times, each held until the next.
 
     Args:
-        t_s: (n,) when each command was handed to the bus.
-        value: (n,) what it was; the path is its integral, of an angle as well as of a rate.
+        t_s: (n,) times at which the commands were handed to the bus.
+        value: (n,) commands, angles or rates; the path is their integral.
     """
 
     def __init__(self, t_s: Array, value: Array) -> None:
@@ -63,11 +63,11 @@ class Command:
         self._way = np.concatenate([[0.0], np.cumsum(value[:-1] * np.diff(t_s))])
 
     def path(self, t_s: Array) -> Array:
-        """Commanded path at any time."""
+        """Return the commanded path at times `t_s`."""
         return np.asarray(np.interp(t_s, self._t_s, self._way), dtype=np.float64)
 
     def lagged(self, t_s: Array, lag_s: float) -> Array:
-        """Path of what follows the command with a first-order lag, from rest: path minus lag times rate."""
+        """Return the path after a first-order lag, from rest: path minus lag times rate."""
         kept = np.exp(-np.diff(self._t_s) / lag_s).tolist()
         rate, rates = 0.0, [0.0]
         for value, share in zip(self._value[:-1].tolist(), kept, strict=True):
@@ -80,7 +80,7 @@ class Command:
 
 
 def sent_s(motion: Motion) -> Array:
-    """(n,) when each cycle's command was handed to the bus, s since the first cycle began."""
+    """Return (n,) times at which the commands were handed to the bus, s since the first cycle began."""
     origin_ns = motion.records[0].inputs.t_ns
     return np.array(
         [
@@ -91,11 +91,11 @@ def sent_s(motion: Motion) -> Array:
 
 
 def fit_delay(command: Command, t_s: Array, path: Array) -> Delay:
-    """Delay of a path (n,) behind the commanded one; offset and steady drift of the signal do not matter.
+    """Fit the delay of a path (n,) behind the command, together with offset and constant drift.
 
-    NaN where there are too few samples. The interval comes from leaving out each eighth of the motion.
+    NaN with too few samples. The interval comes from leaving out each eighth of the motion.
     """
-    from scipy.optimize import least_squares  # half a second to import, and not needed to drive
+    from scipy.optimize import least_squares  # takes 0.5 s to import, not needed to drive
 
     known = np.isfinite(path)
     t, y = t_s[known], path[known]
@@ -118,7 +118,7 @@ def fit_delay(command: Command, t_s: Array, path: Array) -> Delay:
 
 
 def _coarse(command: Command, t: Array, y: Array) -> float:
-    """Delay on a grid, without a lag."""
+    """Return the best delay on a grid, without a lag."""
     delays = np.arange(_EARLIEST_S, _LATEST_S, 0.02)
     errors = []
     for delay_s in delays:
@@ -128,14 +128,14 @@ def _coarse(command: Command, t: Array, y: Array) -> float:
 
 
 def _follow(command: Command, t: Array, y: Array, dead_s: float, lag_s: float) -> tuple[Array, Array, Array]:
-    """(residuals, (gain, offset, drift), design) with the best of these three."""
+    """Return (residuals, (gain, offset, drift), design) with the best gain, offset and drift."""
     design = np.column_stack([command.lagged(t - dead_s, lag_s), np.ones_like(t), t - t.mean()])
     best = np.linalg.lstsq(design, y, rcond=None)[0]
     return y - design @ best, best, design
 
 
 def _left_out(t: Array, residual: Array, slopes: Array, of: Array) -> float:
-    """Half of the 95 % interval of a sum of parameters: what leaving out each eighth of the time changes."""
+    """Return half of the 95 % interval of a sum of parameters, by leaving out each eighth of the time."""
     part = np.minimum(((t - t[0]) / (t[-1] - t[0]) * _BLOCKS).astype(int), _BLOCKS - 1)
     change = np.array(
         [of @ np.linalg.lstsq(slopes[part != k], residual[part != k], rcond=None)[0] for k in range(_BLOCKS)]
@@ -149,15 +149,15 @@ def _misfit(t: Array, y: Array, residual: Array) -> float:
 
 
 def fit_response(t_s: Array, path: Array, seen: Array, longest_s: float) -> Delay:
-    """Mean delay of a signal behind another one of the same samples, whatever the shape of the response.
+    """Fit the mean delay of a signal behind another at the same sample times, for any shape of response.
 
-    The response is fitted sample by sample up to its longest part; its first moment is the delay.
+    The impulse response is fitted sample by sample up to `longest_s`; its first moment is the delay.
 
     Args:
         t_s: (n,) evenly spaced times, s.
-        path: (n,) path of the signal that is followed.
-        seen: (n,) path of the signal that follows.
-        longest_s: longest part of the response.
+        path: (n,) path of the leading signal.
+        seen: (n,) path of the delayed signal.
+        longest_s: length of the response.
     """
     period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else math.inf
     delays = np.arange(0.0, longest_s, period_s)
@@ -178,20 +178,20 @@ def fit_response(t_s: Array, path: Array, seen: Array, longest_s: float) -> Dela
 def fit_driven(
     t_s: Array, angle_rad: Array, seen_s: Array, seen_rad: Array, *, slack_rad: float, about_s: float
 ) -> Delay:
-    """Delay of the angles of axes behind the angles that drive them through some backlash.
+    """Fit the delay of axis angles behind the angles that drive them through some backlash.
 
-    Only stretches count in which an axis is turning and has turned by `slack_rad` since it last stood:
-    there backlash is an offset by direction, free like the gain. NaN where there are too few of them.
+    Only intervals count in which an axis is turning and has turned by `slack_rad` since it last stood:
+    there backlash is an offset for each direction, fitted like the gain. NaN with too few such samples.
 
     Args:
-        t_s: (n,) when the driving angles were taken, s.
+        t_s: (n,) times of the driving angles, s.
         angle_rad: (n, 4) driving angles.
-        seen_s: (m,) when the driven angles were taken, s.
+        seen_s: (m,) times of the driven angles, s.
         seen_rad: (m, 4) driven angles.
-        slack_rad: more than the backlash.
-        about_s: delay to start from.
+        slack_rad: an angle larger than the backlash.
+        about_s: initial guess of the delay.
     """
-    from scipy.interpolate import CubicSpline  # as above
+    from scipy.interpolate import CubicSpline  # takes 0.5 s to import, too
 
     spline = CubicSpline(t_s, angle_rad)
     direction = _directions(t_s, angle_rad, spline(t_s, 1), slack_rad)
@@ -213,7 +213,7 @@ def fit_driven(
 
 
 def _later(t: Array, y: Array, design: Array, rate: Array, axis: npt.NDArray[np.intp]) -> Delay:
-    """One step towards the delay; the design holds gains by axis, and offsets by axis and direction."""
+    """Return one step towards the delay; the design holds gains by axis, offsets by axis and direction."""
     best = np.linalg.lstsq(design, y, rcond=None)[0]
     residual = y - design @ best
     slopes = np.column_stack([-best[axis] * rate, design])
@@ -223,7 +223,7 @@ def _later(t: Array, y: Array, design: Array, rate: Array, axis: npt.NDArray[np.
 
 
 def _directions(t_s: Array, angle_rad: Array, rate_rad_s: Array, slack_rad: float) -> Array:
-    """(n, 4) direction in which each axis is driven: 1, -1, or 0 at rest and within the slack."""
+    """Return the (n, 4) driving direction of each axis: 1, -1, or 0 at rest and within the slack."""
     direction = np.where(np.abs(rate_rad_s) > _DRIVEN_RAD_S, np.sign(rate_rad_s), 0.0).astype(int)
     for axis in range(direction.shape[1]):
         column, begin = direction[:, axis], 0

@@ -1,4 +1,4 @@
-"""Table and figures of a latency run: the chain from command to knowledge, and the signals themselves."""
+"""Table and figures of a latency run: delays from command to sample in the loop, and the signals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Aged = Mapping[str, tuple[Delay, float]]
 
 
 def table(ctx: Context, signals: Aged) -> None:
-    """Every signal's delay, age and size."""
+    """Add a table with delay, age and gain of every signal."""
     rows = [
         [
             name,
@@ -39,7 +39,7 @@ def table(ctx: Context, signals: Aged) -> None:
 
 
 def draw_chain(ctx: Context, signals: Aged) -> None:
-    """Per signal: until it happened by its stamps, and until the loop knew."""
+    """Draw per signal the time until the motion was measured, by stamps, and until it was in the loop."""
     figure = new_figure(5.2, 0.74 + 0.4 * len(signals))
     axes = style(figure.add_subplot(), "time after the command (ms)", "")
     for row, (delay, age) in enumerate(signals.values()):
@@ -67,7 +67,7 @@ def draw_signals(
     label: str,
     factor: float,
 ) -> None:
-    """The first seconds of the command and of every signal: to one size, without offset and drift."""
+    """Draw the first seconds of command and signals, scaled to one size, without offset and drift."""
     figure = new_figure(5.2, 2.8)
     axes = style(figure.add_subplot(), "time (s)", label)
     t = np.linspace(0.0, _SHOWN_S, 600)

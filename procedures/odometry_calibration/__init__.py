@@ -1,9 +1,9 @@
-"""The paper's odometry calibration on the bench: drive, fit, drive again with what was found, validate.
+"""The paper's odometry calibration on the bench: drive, fit, drive again with the result, validate.
 
-A round is every motion several times, driven with the parameters found so far; the fit that follows takes all
-rounds together. Rounds go on while held-out recordings say that one more would better the fit. A last round
-that nothing is fitted to, driven with the best parameters, decides whether the result may be used.
-`docs/procedures.md` says how to run and read it.
+A round drives every motion several times with the current parameters; the following fit uses all rounds.
+Rounds are added while held-out recordings predict an improvement of the fit. A last round, which is not used
+for a fit and is driven with the best parameters, decides whether the result may be used.
+`docs/procedures.md` describes how to run the procedure and read its report.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ _SIMILAR_MM = 0.5
 
 
 class Parameters(BaseModel):
-    """How much to drive, how to fit, and when to stop.
+    """Amount of driving, method of the fit, and stop rule.
 
-    `model` is how contradicting wheels are read; by evidence, held-out repetitions choose it, the loads and
-    the tyre ratio. `steering_play_rad` is the backlash of a steering gear to each side, which standard
-    errors allow for; left out, it is the robot's record's, else an eighth of a degree. `install` names a
-    calibration.toml that takes the result, as its next version, if validation passes.
+    `model` is how contradicting wheels are combined; by evidence, held-out repetitions select it, the loads
+    and the tyre ratio. `steering_play_rad` is the backlash of a steering gear to each side, which is included
+    in standard errors; by default it is that of the robot's record, else an eighth of a degree. `install`
+    names a calibration.toml that receives the result, as its next version, if validation passes.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -111,7 +111,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters) -> Iterable[Measurement]:
-    """What the validation run must show."""
+    """Yield the requirements on the validation run."""
     yield Measurement("position_rmse_before", "mm", rationale="first round, parameters as the run began")
     yield Measurement(
         "position_rmse_after",
@@ -143,7 +143,7 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """Rounds as far as they are certain, and the references of one repetition."""
+    """Plan the certain rounds, with the references of one repetition."""
     _check_turns(p, config)
     start, geometry = config.environment.start_pose, geometry_of(config)
     driven = tuple(followed(m, start, p.sizes, geometry, config) for m in p.motions)
@@ -156,7 +156,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """What the calibration is worth on motions that it did not see."""
+    """Return the improvement of odometry on motions that were not fitted."""
     return (
         f"The position error of odometry fell from {v['position_rmse_before']:.1f} mm to "
         f"{v['position_rmse_after']:.1f} mm (RMSE, driven anew with what was found)."
@@ -195,7 +195,7 @@ def run(ctx: Context) -> None:
         ctx.note(
             f"Round {best + 1} was driven best; its parameters are the result."
             if best < len(rounds)
-            else f"The result is the fit after round {best}: it reads the round better than what drove it."
+            else f"The result is the fit after round {best}: its held-out error is below that of any round."
         )
         if best == 0:
             ctx.measure("rejected_recordings", 0)
@@ -217,13 +217,13 @@ def run(ctx: Context) -> None:
 
 
 def _other_models(result: Calibration) -> list[str]:
-    """Forward models that may be as right as the one that was taken."""
+    """Return forward models that may be as good as the selected one."""
     rivals = () if result.choice is None else result.choice.rivals
     return sorted({rival.setting.model for rival in rivals} - {result.setting.model})
 
 
 def _check_turns(p: Parameters, config: BenchConfig) -> None:
-    """Refuse motions that turn further than a wall allows, from whatever heading they begin."""
+    """Reject motions that turn further than a wall allows from any start heading."""
     limit_rad = motion_limits(config).heading_limit_rad
     turning = [name for name in p.motions if not name.startswith("line")]
     if limit_rad is not None and turning and math.pi * p.turns > limit_rad:
@@ -236,10 +236,10 @@ def _check_turns(p: Parameters, config: BenchConfig) -> None:
 
 
 def _rounds(ctx: Context, workers: Workers) -> tuple[list[Driven], list[Calibration], int]:
-    """Rounds as they were driven, the fits after them, and after which round the best parameters were fitted.
+    """Drive and fit rounds; return them, the fits, and the round after which the best was fitted.
 
-    Those are what drove best; or the newest fit, which nothing was driven with yet, where it reads the newest
-    round better than what drove best.
+    The best parameters are those with the least error while driving; or the newest fit, not yet driven with,
+    if its held-out error on the newest round is smaller.
     """
     p: Parameters = ctx.parameters
     play_rad = p.steering_play_rad if p.steering_play_rad is not None else known_play_rad(ctx)
@@ -269,7 +269,7 @@ def _rounds(ctx: Context, workers: Workers) -> tuple[list[Driven], list[Calibrat
 
 
 def _round_file(ctx: Context, number: int) -> Path:
-    """Where the result of the fit after a round is kept."""
+    """Return the path of the fit's result after a round."""
     return ctx.folder / f"calibration_round_{number}.toml"
 
 
@@ -285,7 +285,7 @@ def _drive(
 
 
 def _so_far(p: Parameters, label: str, number: int) -> Collected:
-    """Where the drive with this number stands; a run that goes on beyond `min_rounds` grows by a round."""
+    """Return the progress of this round; beyond `min_rounds` the expected total grows by a round."""
     span = f"{p.min_rounds}" if p.min_rounds == p.max_rounds else f"{p.min_rounds} to {p.max_rounds}"
     validating = label == "validation"
     rounds = number - 1 if validating else max(p.min_rounds, number)
@@ -322,7 +322,7 @@ def _measure(ctx: Context, rounds: list[Driven], fresh: Driven) -> None:
 
 
 def _leave(ctx: Context, result: Calibration, path: Path) -> None:
-    """The calibration as a part of the record."""
+    """Leave the calibration as a part of the record."""
     geometry, std = result.geometry.vector(), result.intervals.std
     figures = {
         name: Figure(
@@ -337,7 +337,7 @@ def _leave(ctx: Context, result: Calibration, path: Path) -> None:
 
 
 def _install(ctx: Context, result: Calibration) -> None:
-    """The transaction: a file that others use changes only when every limit holds."""
+    """Install the result in the calibration file only if every limit holds."""
     p: Parameters = ctx.parameters
     verdict, config = ctx.verdict().value, ctx.source.config
     robot = identity(config, ctx.source.seed)

@@ -1,4 +1,4 @@
-"""Collects the recordings of an odometry calibration: rounds, repetitions, worlds of their own, processes."""
+"""Collects the recordings of an odometry calibration: drives repetitions in separate worlds and processes."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from hil.procedure.worker_processes import Workers
 
 
 def read_round(folder: Path, names: Sequence[str]) -> list[Recording]:
-    """The recordings of a round, in order."""
+    """Read the recordings of a round, in order."""
     return [read_plain(folder / name) for name in names]
 
 
 @dataclass(frozen=True)
 class Collected:
-    """Where a round stands in the whole run, for progress.
+    """Position of a round in the whole run, for progress.
 
     Attributes:
-        title: the round in words, `round 2 of 2 to 4`.
-        before: recordings of the rounds before it.
-        expected: recordings of the whole run, as far as it can be foreseen.
+        title: text for the round, `round 2 of 2 to 4`.
+        before: number of recordings of the earlier rounds.
+        expected: expected number of recordings of the whole run.
     """
 
     title: str
@@ -45,15 +45,15 @@ def collect(
     workers: Workers,
     so_far: Collected,
 ) -> list[str]:
-    """Drive repetitions, each in a checkpoint and a fresh world; in two worlds where time is virtual.
+    """Drive repetitions, each in a checkpoint and a new world; in virtual time each in two worlds.
 
     Args:
-        ctx: of the run.
-        label: of the round, `round 2`.
-        repetitions: what to drive.
-        calibration: parameters to drive with, the bench's own without.
-        workers: the processes that drive them, if there are several.
-        so_far: the round's place in the run.
+        ctx: context of the run.
+        label: label of the round, `round 2`.
+        repetitions: repetitions to drive.
+        calibration: parameters to drive with; None for those of the bench.
+        workers: processes that drive, if there are several.
+        so_far: position of the round in the run.
 
     Returns:
         File names in order; the same whatever the number of processes.
@@ -78,7 +78,7 @@ def collect(
 def _driven(
     ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, workers: Workers
 ) -> Generator[list[str], None, None]:
-    """File names of each repetition, as soon as it has been driven."""
+    """Yield the file names of each repetition as soon as it is driven."""
     parts = [r.halves() if ctx.source.virtual else [r] for r in repetitions]
     with closing(_driven_parts(ctx, label, list(chain(*parts)), calibration, workers)) as driven:
         for repetition, of_it in zip(repetitions, parts, strict=True):

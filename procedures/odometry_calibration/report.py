@@ -16,7 +16,7 @@ from hil.procedures.odometry_calibration.rounds import Driven, Odometry
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 
 _NAMED = 4
-"""Recordings that a note names; it counts the others."""
+"""Number of recordings that a note names; the others are counted."""
 
 
 def show(
@@ -27,7 +27,7 @@ def show(
     method: str,
     compared_methods: Sequence[str],
 ) -> None:
-    """Everything that a person needs to judge the result."""
+    """Leave all tables, figures and notes about the result."""
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
     for other in compared_methods:
@@ -50,28 +50,28 @@ def show(
 
 
 def joined(warnings: Sequence[str], names: Collection[str]) -> list[str]:
-    """Warnings of a calibration without a full stop; what is said of several recordings, once.
+    """Return warnings of a calibration without a full stop; merge equal ones about several recordings.
 
     Args:
-        warnings: each of one recording, `NAME: what`, or of the whole.
-        names: of the recordings.
+        warnings: each about one recording, `NAME: text`, or about the calibration.
+        names: names of the recordings.
     """
-    said: dict[str, list[str]] = {}
+    names_by_text: dict[str, list[str]] = {}
     for line in warnings:
         name, _, what = line.partition(": ")
         if name in names:
-            said.setdefault(what, []).append(name)
+            names_by_text.setdefault(what, []).append(name)
         else:
-            said.setdefault(line[0].upper() + line[1:], [])
+            names_by_text.setdefault(line[0].upper() + line[1:], [])
     out = []
-    for what, whose in said.items():
+    for what, whose in names_by_text.items():
         more = f" and {len(whose) - _NAMED} more" if len(whose) > _NAMED else ""
         out.append(f"{', '.join(whose[:_NAMED])}{more}: {what}" if whose else what)
     return out
 
 
 def method_table(ctx: Context, columns: Mapping[str, Odometry], fresh: Driven) -> None:
-    """Every method's parameters on the validation run."""
+    """Add a table of the errors of the validation run under every method's parameters."""
     rows: list[list[Any]] = []
     for name, odometry in columns.items():
         table: Any = evaluate(odometry.tracks(fresh.recordings))
@@ -86,7 +86,7 @@ def method_table(ctx: Context, columns: Mapping[str, Odometry], fresh: Driven) -
 
 
 def round_table(ctx: Context, runs: Sequence[Driven]) -> None:
-    """Every round by motion."""
+    """Add a table of the errors of every round by motion."""
     motions = list(dict.fromkeys(r.motion for r in runs[0].recordings))
     rows: list[list[Any]] = []
     for run in runs:
@@ -102,7 +102,7 @@ def round_table(ctx: Context, runs: Sequence[Driven]) -> None:
 
 
 def observable_table(ctx: Context, result: Calibration) -> None:
-    """What the recordings determine: combinations of parameters, with their information."""
+    """Add a table of the parameter combinations that the recordings determine, with their information."""
     pairs = zip(result.spectrum.directions, result.spectrum.information, strict=False)
     rows = [[k, words, f"{value:.3g}"] for k, (words, value) in enumerate(pairs, start=1)]
     ctx.table(
@@ -115,7 +115,7 @@ def observable_table(ctx: Context, result: Calibration) -> None:
 
 
 def parameter_table(ctx: Context, columns: Mapping[str, Odometry], result: Calibration) -> None:
-    """Table I: wheel parameters by method, with the standard errors of the result."""
+    """Add Table I: wheel parameters by method, with the standard errors of the result."""
     z_std = result.intervals.std.reshape(4, 4)
     rows = []
     quantities = (
@@ -140,7 +140,7 @@ def parameter_table(ctx: Context, columns: Mapping[str, Odometry], result: Calib
 
 
 def error_table(ctx: Context, title: str, table: Any) -> None:
-    """Table II or III: largest and mean-of-largest errors by motion."""
+    """Add Table II or III: largest and mean-of-largest errors by motion."""
     keys = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
     rows = [
         [
@@ -161,7 +161,7 @@ def error_table(ctx: Context, title: str, table: Any) -> None:
 
 
 def draw_rounds(ctx: Context, runs: Sequence[Driven]) -> None:
-    """Position error of every round and of the validation run, with the parameters that drove it."""
+    """Draw the position error of every round and of the validation run, with the parameters of that drive."""
     figure = new_figure(4.6, 2.6)
     axes = style(figure.add_subplot(), "", "position RMSE (mm)")
     rng = np.random.default_rng(0)
@@ -183,7 +183,7 @@ def draw_rounds(ctx: Context, runs: Sequence[Driven]) -> None:
 
 
 def draw_validation(ctx: Context, before: Sequence[Track], after: Sequence[Track]) -> None:
-    """Paths and errors of the validation run, with the parameters before and after."""
+    """Draw paths and errors of the validation run, with the parameters before and after."""
     motions = list(dict.fromkeys(t.recording.motion for t in after))
     columns = 2
     rows = -(-len(motions) // columns)

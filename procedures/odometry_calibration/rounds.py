@@ -1,7 +1,7 @@
-"""Rounds of an odometry calibration: what was driven with which parameters, and when to stop.
+"""Rounds of an odometry calibration: drives with their parameters, fits, and the stop rule.
 
-Each set of parameters is judged on the recordings that it drove, the newest, which has driven nothing yet, on
-repetitions left out of its fit. So no set is judged on what it was fitted to.
+Each set of parameters is judged on the recordings that were driven with it. The newest set, not yet driven
+with, is judged on repetitions left out of its fit. So no set is judged on data that it was fitted to.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ _BOOTSTRAP = 2000
 
 @dataclass(frozen=True)
 class Odometry:
-    """Wheel parameters and the forward model that reads the wheels with them."""
+    """Wheel parameters and the forward model that uses them."""
 
     geometry: WheelGeometry
     model: str
 
     def tracks(self, recordings: Sequence[Recording]) -> list[Track]:
-        """Odometry of recordings beside their ground truth."""
+        """Return odometry and ground truth of recordings."""
         return track_all(recordings, self.geometry, self.model)
 
 
 @dataclass(frozen=True)
 class Driven:
-    """Recordings and what drove them.
+    """Recordings and the parameters with which they were driven.
 
     Attributes:
         label: `round 1`, ..., `validation`.
-        odometry: in use while driving; its parameters for inverse kinematics as well.
+        odometry: odometry during the drive; its parameters were also used for inverse kinematics.
     """
 
     label: str
@@ -61,16 +61,16 @@ class Driven:
     odometry: Odometry
 
     def tracks(self) -> list[Track]:
-        """Odometry as it was while driving, beside the ground truth."""
+        """Return odometry as during the drive, and ground truth."""
         return self.odometry.tracks(self.recordings)
 
     def rmse_m(self) -> Array:
-        """Position RMSE of odometry for each recording, m."""
+        """Return the position RMSE of odometry for each recording, m."""
         return np.array([position_rmse(t) for t in self.tracks()])
 
 
 def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
-    """Odometry of a calibration file; the bench's own without one."""
+    """Return the odometry of a calibration file; without a file that of the bench."""
     known = file or (Path(config.calibration) if config.calibration else None)
     if known is None:
         used = config.estimator.wheels.model
@@ -80,7 +80,7 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
 
 
 def known_play_rad(ctx: Context) -> float:
-    """Play of the gears to each side: half the backlash that `steering_zero` found, else as assumed."""
+    """Return the play of the gears to each side, rad: half the backlash by `steering_zero`, or a default."""
     known = known_parts(ctx.source.config).get("backlash")
     if known is None or not known.figures:
         return _ASSUMED_PLAY_RAD
@@ -88,10 +88,10 @@ def known_play_rad(ctx: Context) -> float:
 
 
 def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str) -> Choice:
-    """Forward model to fit with, its loads and tyre ratio: the one asked for, else by held-out data.
+    """Return the forward model to fit, with loads and tyre ratio: the requested one, else by held-out data.
 
-    The model is to hold for what its own result will drive, not for repetitions of what it was fitted to. So
-    whole rounds are held out, and whole motions while there is one round.
+    The model has to be valid for drives with its own result, not for repetitions of the fitted data. So whole
+    rounds are held out, or whole motions while there is one round.
     """
     nominal = nominal_of(ctx.source.config).geometry
     if model != BY_EVIDENCE:
@@ -114,9 +114,9 @@ def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str)
 
 
 def held_out_together(rounds: Sequence[Driven]) -> tuple[str, list[object]]:
-    """In words, and a label for each recording: its round; its motion while there is one round.
+    """Return a text, and a label for each recording: its round, or its motion while there is one round.
 
-    Two motions are too few to fit one without the other: then repetitions are left out.
+    Two motions are too few to fit one without the other: then repetitions are held out.
     """
     if len(rounds) > 1:
         return "rounds", [d.label for d in rounds for _ in d.recordings]
@@ -129,10 +129,10 @@ def _error(row: tuple[str, float]) -> float:
 
 
 def improve(ctx: Context, recordings: Sequence[Recording], choice: Choice, method: str) -> Calibration:
-    """Fit the recordings of all rounds so far, with the prior at the robot as it is on paper.
+    """Fit the recordings of all rounds so far, with the prior at the nominal robot.
 
-    Rounds were driven with different parameters and each stands elsewhere in the backlash of its gears;
-    together they show more than the latest (`docs/decisions/0007`).
+    Rounds were driven with different parameters and at different positions in the backlash of the gears;
+    together they determine more than the latest round (`docs/decisions/0007`).
     """
     paper = replace(nominal_of(ctx.source.config), geometry=choice.best.nominal)
     return calibrate(
@@ -149,17 +149,17 @@ def improve(ctx: Context, recordings: Sequence[Recording], choice: Choice, metho
 
 
 def improvement_bound(before: Array, after: Array, rng: np.random.Generator) -> float:
-    """Lower end of the one-sided 97.5 % bootstrap interval of 1 - mean(after) / mean(before)."""
+    """Return the lower end of the one-sided 97.5 % bootstrap interval of 1 - mean(after) / mean(before)."""
     picks = rng.integers(0, len(before), (_BOOTSTRAP, len(before)))
     gains = 1.0 - after[picks].mean(axis=1) / before[picks].mean(axis=1)
     return float(np.percentile(gains, 2.5))
 
 
 def rise_beyond_chance(earlier: Array, later: Array, rng: np.random.Generator) -> float:
-    """How much the mean rose from one round's RMSE (n,) to a later one's, less what chance explains.
+    """Return the rise of the mean RMSE (n,) from one round to a later one, beyond chance.
 
-    Lower end of the one-sided 97.5 % bootstrap interval over recordings paired by motion and repetition;
-    0 where the rise may be chance.
+    It is the lower end of the one-sided 97.5 % bootstrap interval over recordings paired by motion and
+    repetition; 0 if the rise may be chance.
     """
     picks = rng.integers(0, len(earlier), (_BOOTSTRAP, len(earlier)))
     rises = (later - earlier)[picks].mean(axis=1)
@@ -167,7 +167,7 @@ def rise_beyond_chance(earlier: Array, later: Array, rng: np.random.Generator) -
 
 
 def tell_gain(ctx: Context, before: Driven, after: Driven) -> None:
-    """Note how much better the latest round was driven than the best before it.
+    """Note how much smaller the error of the latest round is than that of the best earlier round.
 
     Recordings are paired by motion and repetition; the interval is over those pairs.
     """
@@ -182,24 +182,24 @@ def tell_gain(ctx: Context, before: Driven, after: Driven) -> None:
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Position RMSE (n,), m, of the newest round's recordings by fits that have not seen them.
+    """Position RMSE (n,), m, of the newest round's recordings, by fits without them.
 
     Attributes:
-        without_round: by the fit of all rounds before it.
-        without_repetition: by fits of all recordings but one repetition of it.
+        without_round: by the fit of all earlier rounds.
+        without_repetition: by fits of all recordings except one repetition of this round.
     """
 
     without_round: Array
     without_repetition: Array
 
     def gain(self, seed: int) -> float:
-        """Share by which knowing the round makes its error smaller, at least, with 97.5 % confidence."""
+        """Return the least relative reduction of the error by the round's data, with 97.5 % confidence."""
         rng = np.random.default_rng(seed)
         return improvement_bound(self.without_round, self.without_repetition, rng)
 
 
 def foresee(rounds: Sequence[Driven], result: Calibration) -> Foreseen:
-    """How well the newest of several rounds is read by the model of a fit that lacks it, or a part of it."""
+    """Return the errors of the newest round by fits without this round, or without a part of it."""
     recordings, blocks = result.recordings, result.fit.problem.blocks
     names = {r.name for r in rounds[-1].recordings}
     repetitions = repetition_numbers([r.motion for r in recordings if r.name in names])
@@ -214,10 +214,10 @@ def foresee(rounds: Sequence[Driven], result: Calibration) -> Foreseen:
 
 
 def worth_another(ctx: Context, number: int, foreseen: Foreseen) -> bool:
-    """Whether a further round may improve what is driven, by more than chance and 5 %.
+    """Whether a further round may reduce the driven error by more than chance and 5 %.
 
-    A further round would do for the fit what the newest one did. That is seen from its own recordings: what
-    the fit makes of a repetition that it lacks, against what it makes of it with the whole round left out.
+    A further round is assumed to improve the fit as much as the newest one did. That is measured on held-out
+    repetitions: their error with the rest of the round in the fit, against that without the round.
     """
     gain = foreseen.gain(ctx.seed)
     without, known = (1e3 * e.mean() for e in (foreseen.without_round, foreseen.without_repetition))

@@ -1,9 +1,9 @@
-"""How noisy the robot's sensors are, at rest and in motion, and how they drift: what its filter goes by.
+"""Measures noise of the robot's sensors, at rest and in motion, and their drift, for its filter.
 
-The robot rests, then drives there and back along both axes and turns a little, while motion capture watches.
-Each sensor's noise and drift come from the samples; how the robot shakes, from what is left in the filter's
-innovations. The result goes into the robot's record, and counts there as long as the bench file does not say
-otherwise. Nothing of an emulated device is asked for but its samples.
+The robot rests, then drives there and back along both axes and turns a little, observed by motion capture.
+Noise and drift of each sensor come from its samples; vibration of the robot comes from the remaining filter
+innovations. The result goes into the robot's record, and is used unless the bench file sets other values. Of
+an emulated device only its samples are used.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _TURN_SPEED_M_S = 0.03
 
 
 class Parameters(BaseModel):
-    """How long to rest, and how far to drive."""
+    """Duration of the rest, and size of the drives."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     rest_s: float = Field(5.0, ge=2.0, le=3600, description="How long the robot rests at first, s.")
@@ -51,7 +51,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
-    """Noise and drift by sensor, and whether the filter with them is as sure as it may be."""
+    """Yield noise and drift by sensor, and the consistency (NIS) of the filter with them."""
     devices = config.devices()
     for one in MEASURED:
         if one.device in devices:
@@ -70,7 +70,7 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
 
 
 def tour(p: Parameters, start: Array) -> list[Trajectory]:
-    """Up, left, a turn, and back again, from where the robot stands; as often as asked."""
+    """Return the legs from the pose `start`: up, left, a turn, and back, `repetitions` times."""
     turn = np.radians(p.turn_deg)
     stops = [(0, 0, 0), (p.way_m, 0, 0), (p.way_m, p.way_m, 0), (p.way_m, p.way_m, turn)]
     stops += [(0, p.way_m, turn), (0, 0, turn), (0, 0, 0)]
@@ -83,14 +83,14 @@ def tour(p: Parameters, start: Array) -> list[Trajectory]:
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """A rest, the way there and back, and the evaluation."""
+    """Plan a rest, the way there and back, and the evaluation."""
     yield PlannedStep("rest")
     yield PlannedStep("drives", tuple(tour(p, np.array(config.environment.start_pose))))
     yield PlannedStep("evaluate")
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """How noisy the sensors are in motion, and how sure a filter that knows it is."""
+    """Return the noise of the sensors in motion, and the NIS of a filter that uses it."""
     parts = [
         f"{what} {v[name]:.2g} {unit}"
         for name, what, unit in (
@@ -130,12 +130,12 @@ def run(ctx: Context) -> None:
 
 
 def cycles(motion: Motion) -> tuple[Measurements, ...]:
-    """What a filter sees of a motion."""
+    """Return the measurements that a filter receives in a motion."""
     return tuple(r.measurements for r in motion.records)
 
 
 def drives(ctx: Context, bench: Bench, p: Parameters, feedback: str) -> Iterator[DrivenRun]:
-    """Drive the tour leg by leg, each from where motion capture sees the robot rest."""
+    """Drive the tour leg by leg, each from the rest pose by motion capture."""
     legs = tour(p, stand(bench))
     for number, leg in enumerate(legs, start=1):
         pose = stand(bench)
@@ -148,7 +148,7 @@ def drives(ctx: Context, bench: Bench, p: Parameters, feedback: str) -> Iterator
 
 
 def evaluate(ctx: Context, bench: Bench, rested: Sequence[Measurements], driven: Sequence[DrivenRun]) -> None:
-    """Measurements, table, and what goes into the record."""
+    """Set measurements; leave the table, and the part of the record."""
     found = measure([rested, *(run.measurements for run in driven)], bench.geometry)
     _must_have_moved(found)
     devices = ctx.source.config.devices()
@@ -171,7 +171,7 @@ def _must_have_moved(found: SensorNoise) -> None:
     if found.wheel_step.moving.freedom < 1.0:
         raise DeviceError(
             "servos",
-            "the wheels tell of no motion at an even speed on all of the way",
+            "the wheels show no motion at constant speed on the whole way",
             expected="a drive that the wheels' encoders follow",
             remedy="hil run bring_up",
         )

@@ -1,4 +1,4 @@
-"""What `sensor_noise` finds, as measurements, table, figures of the record, values of `[estimator]`."""
+"""Results of `sensor_noise` as measurements, table, figures of the record, values of `[estimator]`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LEAST = 1e-9
 
 
 def values_of(found: SensorNoise, devices: Collection[str]) -> dict[str, float]:
-    """Values of `[estimator]` by dotted name; none of a sensor of which nothing was seen."""
+    """Return values of `[estimator]` by dotted name, without those of sensors that have no samples."""
     values = {}
     for one in NOISE_FIGURES:
         sigma = one.of(found).sigma()[0]
@@ -32,7 +32,7 @@ def _shown(found: SensorNoise, devices: Collection[str]) -> Iterator[tuple[Noise
 def leave_measurements(
     ctx: Context, found: SensorNoise, nis: Mapping[str, float], devices: Collection[str]
 ) -> None:
-    """Set what is declared: each figure with half of its interval, and the mean NIS with it."""
+    """Set the declared measurements: each figure with half of its interval, and the mean NIS."""
     for one, sigma, low, high in _shown(found, devices):
         ctx.measure(one.label, one.per_si * sigma)
         ctx.measure(f"{one.label}_uncertainty", one.per_si * 0.5 * (high - low))
@@ -42,7 +42,7 @@ def leave_measurements(
 
 
 def figures(found: SensorNoise, devices: Collection[str]) -> dict[str, Figure]:
-    """Figures of the record in SI units, with their standard uncertainties."""
+    """Return figures of the record in SI units, with their standard uncertainties."""
     return {
         one.label: Figure(value=sigma, sigma=0.25 * (high - low), unit=one.si)
         for one, sigma, low, high in _shown(found, devices)
@@ -51,7 +51,7 @@ def figures(found: SensorNoise, devices: Collection[str]) -> dict[str, Figure]:
 
 
 def table(ctx: Context, found: SensorNoise, devices: Collection[str]) -> None:
-    """What was found, with 95 % intervals."""
+    """Add a table of the results with 95 % intervals."""
     rows = [
         [
             one.meaning,

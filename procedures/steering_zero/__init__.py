@@ -1,8 +1,8 @@
-"""Zeros of the four steering axes, from the external encoders and from the way the body goes.
+"""Finds the zeros of the four steering axes, from the external encoders and from the body's motion.
 
-All axes are swept together, held against their encoders, and fitted. Then the robot goes out and back
-along two directions: their common zero must be the one that the encoders say, or one of them is wrong.
-Last, the zeros found are applied and driven. They are left as a fragment of `bench.toml`.
+All axes are swept together, compared with their encoders, and fitted. Then the robot drives out and back
+along two directions: the common zero from this motion must agree with that of the encoders. Last, the robot
+drives with the new zeros. They are left as a fragment of `bench.toml`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _MARGIN_RAD = 0.05
 
 
 class Parameters(BaseModel):
-    """How far and how often to sweep, and how far to drive."""
+    """Size and number of the sweeps and drives."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     sweep_deg: float = Field(
@@ -53,7 +53,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
-    """One set per axis, then what the motion says."""
+    """Yield the measurements of each axis, then those of the motion."""
     for w in WHEELS:
         yield Measurement(
             f"steer_{w}.zero",
@@ -112,14 +112,14 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 
 def leg(p: Parameters, start: Array, name: str, alpha_rad: float) -> Trajectory:
-    """A straight leg along a body direction."""
+    """Return a straight leg along a body direction."""
     pose = np.asarray(start, dtype=np.float64)
     step_m = rotation2(float(pose[2]) + alpha_rad) @ np.array([p.leg_m, 0.0])
     return line(pose, pose + np.append(step_m, 0.0), speed_m_s=p.speed_m_s, name=name)
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """A sweep, legs, and legs again."""
+    """Plan a sweep, the legs, and the legs with the new zeros."""
     start = np.array(config.environment.start_pose)
     driven = tuple(leg(p, start, name, alpha) for name, alpha in _WAYS)
     yield PlannedStep("sweep")
@@ -128,7 +128,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """How far the wheels stood from straight ahead, and how far they do now."""
+    """Return the errors of the steering zeros, before and after."""
     worst = max(abs(v[f"steer_{w}.zero"]) for w in WHEELS)
     return (
         f"The steering zeros were up to {worst:.2f} deg off. With the zeros that were found, the wheels "
@@ -163,7 +163,7 @@ def run(ctx: Context) -> None:
 
 
 def sweep(ctx: Context, bench: Bench) -> list[AxisFit]:
-    """Turn all axes to both sides and back, and fit each."""
+    """Turn all axes to both sides and back; fit each axis."""
     p: Parameters = ctx.parameters
     pose = stand(bench)
     end = np.full(4, p.sweep_deg / _DEG)
@@ -215,7 +215,7 @@ def _measure_axes(ctx: Context, fits: Sequence[AxisFit]) -> None:
 
 
 def _zeros(ctx: Context, fits: Sequence[AxisFit]) -> Array:
-    """(4,) rad, new `alignment.steer_zero_rad`."""
+    """Return the new `alignment.steer_zero_rad`, (4,) rad."""
     alignment = ctx.source.config.alignment
     offset = np.array([f.offset_rad for f in fits])
     zeros = np.array(alignment.steer_zero_rad) - np.array(alignment.steer_sign) * offset
@@ -252,7 +252,7 @@ def _draw_axes(ctx: Context, fits: Sequence[AxisFit]) -> None:
 
 
 def drive_legs(ctx: Context, bench: Bench, directions: Sequence[tuple[str, float]], label: str) -> list[Leg]:
-    """Drive legs one after the other and judge each."""
+    """Drive legs one after the other and evaluate each."""
     found = []
     for number, (name, alpha) in enumerate(directions, start=1):
         pose = stand(bench)
@@ -265,9 +265,9 @@ def drive_legs(ctx: Context, bench: Bench, directions: Sequence[tuple[str, float
 
 
 def compare(ctx: Context, bench: Bench, fits: Sequence[AxisFit]) -> None:
-    """Whether the body goes where the encoders say that its wheels point.
+    """Check that the direction of travel agrees with the wheel directions by the encoders.
 
-    Legs count in pairs, out and back: what gravity does on a wall is the same both ways and drops out.
+    Legs are evaluated in pairs, out and back: the effect of gravity on a wall is equal and cancels.
     """
     p: Parameters = ctx.parameters
     found = drive_legs(ctx, bench, _WAYS * p.legs, "legs")
@@ -304,7 +304,7 @@ def compare(ctx: Context, bench: Bench, fits: Sequence[AxisFit]) -> None:
 
 
 def apply(ctx: Context, fits: Sequence[AxisFit], unused: dict[str, object]) -> None:
-    """Drive with the zeros found, and leave them as a fragment."""
+    """Drive with the new zeros, and leave them as a fragment."""
     zeros = [round(float(z), 5) for z in _zeros(ctx, fits)]
     values: dict[str, dict[str, Any]] = {"alignment": {"steer_zero_rad": zeros}}
     bench = ctx.reopen("applied", overrides={**unused, "alignment.steer_zero_rad": zeros})
@@ -330,7 +330,7 @@ def apply(ctx: Context, fits: Sequence[AxisFit], unused: dict[str, object]) -> N
 
 
 def _leave(ctx: Context, zeros: list[float], fits: Sequence[AxisFit]) -> None:
-    """Zeros and backlash for the record."""
+    """Leave zeros and backlash for the record."""
     axes = list(zip(WHEELS, zeros, fits, strict=True))
     found = {w: Figure(value=z, sigma=0.5 * f.uncertainty_rad, unit="rad") for w, z, f in axes}
     leave_part(ctx, "zeros", values={"alignment.steer_zero_rad": zeros}, figures=found)

@@ -1,13 +1,12 @@
-"""Steering zeros: from encoder against servo over a sweep, and from the direction in which the body goes.
+"""Fits steering zeros: from encoder against servo over a sweep, and from the direction of travel.
 
 Encoder minus servo is, per axis, the zero's error, half the backlash with the sign of the direction of
 turning, and once and twice per turn the error of an eccentric magnet (ams AS5045 datasheet).
 Over a sweep of some 200 degrees these can be distinguished.
 
-Of the four zeros, motions in the plane only show their common part: toe and unequal wheel radii turn the
-body alike, whatever is driven. The common part is seen at the load
-centre, the point that moves with the load-weighted mean of the wheels' rolling: there turning does not
-matter.
+Motions in the plane show only the common part of the four zeros: toe and unequal wheel radii turn the body
+in the same way in every motion. The common part is measured at the load centre, the point that moves with
+the load-weighted mean of the wheels' rolling: there turning has no effect.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ _TURNING_RAD_S = 0.05
 
 @dataclass(frozen=True)
 class AxisFit:
-    """One steering axis.
+    """Fit of one steering axis.
 
     Attributes:
-        offset_rad: heading of the wheel minus steering angle as the bench believes it.
+        offset_rad: heading of the wheel minus steering angle with the configured zero.
         uncertainty_rad: half of the 95 % interval.
         backlash_rad: whole backlash.
         eccentricity_rad: amplitude once per turn.
-        residual_rad: RMS of what is left.
+        residual_rad: RMS residual.
         steering_rad, difference_rad, fitted_rad: (n,) for a figure; `fitted` is without backlash.
     """
 
@@ -51,14 +50,14 @@ class AxisFit:
 
 
 def fit_axis(t_s: Array, steering_rad: Array, encoder_rad: Array, sweeps: int) -> AxisFit:
-    """Zero, backlash and eccentricity from a sweep.
+    """Fit zero, backlash and eccentricity from a sweep.
 
     Args:
-        t_s: (n,) of the encoder's samples.
-        steering_rad: (n,) by the servo, bench signs and zeros applied, at these times.
+        t_s: (n,) times of the encoder's samples.
+        steering_rad: (n,) angle of the servo, bench signs and zeros applied, at these times.
         encoder_rad: (n,) heading of the wheel by the encoder.
-        sweeps: how many parts of equal time the data consist of; the spread of the result when each
-            is left out in turn says how well it is known.
+        sweeps: number of parts of equal duration in the data; leaving out each in turn gives the
+            uncertainty.
     """
     rate = np.gradient(steering_rad, t_s)
     turning = np.abs(rate) > _TURNING_RAD_S
@@ -85,7 +84,7 @@ def fit_axis(t_s: Array, steering_rad: Array, encoder_rad: Array, sweeps: int) -
 
 
 def _weights(rows: int) -> Array:
-    """Prior information on (zero, half backlash, magnet 1, 1, 2, 2), for unit noise of the samples' size."""
+    """Return prior information on (zero, half backlash, magnet 1, 1, 2, 2), for unit noise of the samples."""
     noise_over_sigma = math.radians(0.1) / _MAGNET_SIGMA_RAD
     return np.diag([0.0, 0.0, *[noise_over_sigma**2] * 4]) * min(1.0, rows)
 
@@ -102,11 +101,11 @@ def _formal(design: Array, residual: Array) -> float:
 
 @dataclass(frozen=True)
 class Leg:
-    """What one straight leg showed.
+    """Result of one straight leg.
 
     Attributes:
-        name: of the leg.
-        way_m: length.
+        name: name of the leg.
+        way_m: length, m.
         common_rad: direction of travel of the load centre minus the load-weighted mean steering.
         turned_rad_m: turn of the body per metre.
     """
@@ -118,12 +117,12 @@ class Leg:
 
 
 def judge_leg(name: str, motion: Motion, config: BenchConfig) -> Leg:
-    """Compare where the body went (motion capture) with where its wheels pointed while they rolled."""
+    """Compare the direction of travel (motion capture) with the wheel directions while rolling."""
     rolled, truth = wheels(motion), poses(motion, "mocap")
     share, radius = load_shares(config), np.array(config.robot.wheel_radius_m)
     steps = np.diff(rolled.values[:, 0:4], axis=0) * radius
     steering = 0.5 * (rolled.values[1:, 8:12] + rolled.values[:-1, 8:12])
-    believed = np.array([np.sum(share * steps * np.cos(steering)), np.sum(share * steps * np.sin(steering))])
+    by_wheels = np.array([np.sum(share * steps * np.cos(steering)), np.sum(share * steps * np.sin(steering))])
     pose = truth.values
     middle = 0.5 * (pose[1:, 2] + pose[:-1, 2])
     moved = np.array([rotation2(-a) @ d for a, d in zip(middle, np.diff(pose[:, :2], axis=0), strict=True)])
@@ -131,13 +130,13 @@ def judge_leg(name: str, motion: Motion, config: BenchConfig) -> Leg:
     x = float(share @ np.array(config.robot.wheel_x_m))
     y = float(share @ np.array(config.robot.wheel_y_m))
     went = moved.sum(axis=0) + turned * np.array([-y, x])
-    angle = math.atan2(went[1], went[0]) - math.atan2(believed[1], believed[0])
+    angle = math.atan2(went[1], went[0]) - math.atan2(by_wheels[1], by_wheels[0])
     length_m = float(np.hypot(*went))
     return Leg(name, length_m, float(wrap_array(angle)), turned / length_m)
 
 
 def toe_turn_rad_m(config: BenchConfig, offset_rad: Array, alpha_rad: float) -> float:
-    """Turn per metre that zeros cause on a straight leg along body direction `alpha_rad`."""
+    """Return the turn per metre caused by zeros on a straight leg along body direction `alpha_rad`."""
     share = load_shares(config)
     x, y = np.array(config.robot.wheel_x_m), np.array(config.robot.wheel_y_m)
     x, y = x - share @ x, y - share @ y

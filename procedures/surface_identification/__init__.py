@@ -1,9 +1,9 @@
-"""What the wall does to the robot: slip and sag per metre, and the heading up to which it holds.
+"""Measures slip and sag per metre of a robot on its wall, and the heading up to which it holds.
 
-Lines up, down, left and right; motion capture sees what the wheels do not. A filter that holds the heading
-is fed back where the bench has IMU and camera, because thrust that turns with the robot pushes it aside; else
-odometry. Then the robot is set on the wall under growing headings, where thrust carries less of
-its weight: a search for the heading at which it begins to slide. On a real wall this needs a tether.
+The robot drives lines up, down, left and right; motion capture measures the slip that wheels cannot. Feedback
+is a filter that holds the heading if the bench has IMU and camera, because thrust that turns with the robot
+pushes it aside; otherwise odometry. Then the robot is placed on the wall at various headings, where thrust
+carries less of its weight, to find the heading at which it begins to slide. A real wall needs a tether.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from hil.robot.trajectories import Trajectory, line
 
 DIRECTIONS = ("up", "down", "left", "right")
 _ALONE = (DIRECTIONS[:2], DIRECTIONS[2:])
-"""What a process drives of a repetition: there and back."""
+"""Directions of a repetition that one process drives: there and back."""
 _FOR_A_FILTER = ("imu", "tracker")
-_SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
+_SYSTEMATIC = 0.05  # starts, stops, and grip lost by turning while slipping
 _FEWEST = 2  # repetitions, for a spread
 _MARGIN_DEG = 5.0
 _LEAST_SIGMA = 5e-4
-_WANDERING = 0.5  # of what is left of slip, per square root of a metre
+_WANDERING = 0.5  # random walk of the remaining slip, per square root of a metre
 
 
 class Parameters(BaseModel):
-    """How far to drive, how often, and where to look for the end of the hold.
+    """Size and number of the drives, and range of the search for the hold limit.
 
-    In virtual time several `processes` drive at once; those drives are not recorded.
+    In virtual time several `processes` drive at once; these drives are not recorded.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -72,7 +72,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:
-    """What identifies a surface, and how well it must be known."""
+    """Yield the parameters of a surface, and their required accuracy."""
     for name, what in (("slip", "lines up and down"), ("sag", "lines to the left and right")):
         yield Measurement(
             f"{name}_per_metre",
@@ -119,7 +119,7 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:
 
 
 def motions(p: Parameters, start: Any) -> dict[str, Trajectory]:
-    """The four lines from one place."""
+    """Return the four lines from one pose."""
     pose = np.asarray(start, dtype=np.float64)
     return {
         d: line(pose, downhill(pose, p.length_m, d), speed_m_s=p.speed_m_s, name=f"line_{d}")
@@ -128,7 +128,7 @@ def motions(p: Parameters, start: Any) -> dict[str, Trajectory]:
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """Repetitions with their lines, then the search for the hold."""
+    """Plan repetitions with their lines, then the search for the hold limit."""
     _check_wall(config)
     for number in range(1, p.repetitions + 1):
         driven = motions(p, config.environment.start_pose) if number == 1 else {}
@@ -140,7 +140,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """What the robot loses on this wall."""
+    """Return slip and sag of the robot on this surface."""
     return (
         f"On this surface the robot slips {v['slip_per_metre']:.0f} mm per metre up or down the wall, and "
         f"sags {v['sag_per_metre']:.0f} mm per metre across it."
@@ -209,7 +209,7 @@ def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Sl
 
 
 def _filtered(config: BenchConfig) -> bool:
-    """Whether a filter can hold the heading."""
+    """Whether the bench has the sensors for a filter that holds the heading."""
     return all(name in config.devices() for name in _FOR_A_FILTER)
 
 
@@ -224,17 +224,17 @@ def repetition(
     on_line: Callable[[int, int], object],
     ways: Sequence[str] = DIRECTIONS,
 ) -> Slips:
-    """Drive the lines; returns slip per metre (downhill, leftward, turning) by direction.
+    """Drive the lines; return slip per metre (downhill, leftward, turning) by direction.
 
-    Each begins on a bench opened afresh, so that it does not depend on which repetitions the same run has
-    driven before: a resumed run finds what an undisturbed one finds. The first rest is a little longer in
-    every repetition, so that two worlds of one seed do not repeat each other's noise.
+    Each begins on a newly opened bench, so that it does not depend on the earlier repetitions of a run: a
+    resumed run has the same result as an uninterrupted one. The first rest is a little longer in every
+    repetition, so that two worlds of one seed do not repeat each other's noise.
 
     Args:
         bench: freshly opened.
-        p: of the run.
-        number: of the repetition, from 1.
-        on_line: called with the number of lines driven, and of all.
+        p: parameters of the run.
+        number: number of the repetition, from 1.
+        on_line: called with the number of driven lines, and of all lines.
         ways: directions to drive.
     """
     filtered = _filtered(bench.config)
@@ -253,7 +253,7 @@ def repetition(
 
 
 def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, list[float | None]]) -> None:
-    """Measurements, table and figure."""
+    """Set measurements; leave table and figure."""
     every = {d: np.array([row[d] for row in rows]) for d in DIRECTIONS}
     for name, (there, back), turning in (
         ("slip", ("up", "down"), "along"),
@@ -292,7 +292,7 @@ def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, 
 
 
 def _leave(ctx: Context, every: dict[str, Array]) -> None:
-    """Slip by direction for the estimator, with what the next line may differ by."""
+    """Leave the slip by direction for the estimator, with the spread of a single line."""
     found = next_lines(every, _SYSTEMATIC)
     sigma = np.max([f.sigma for f in found.values()], axis=0)
     along, across = (max(float(s), _LEAST_SIGMA) for s in sigma[:2])

@@ -1,4 +1,4 @@
-"""The heading up to which a robot holds on its wall: a search by setting it there under other headings."""
+"""Finds the heading up to which a robot holds on its wall: a search by placing it at different headings."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from hil.procedures.surface_identification.slip import held
 
 _TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 WITHOUT = {"encoders": None, "tracker": None}
-"""Sections taken out of the bench file: devices that slip and hold are found without."""
+"""Bench file sections to leave out: devices that are not needed to find slip and hold."""
 
 
 def hold_angle(ctx: Context, low: float, high: float, step: float, sense: float) -> list[float | None]:
-    """Bisect the heading between standing and sliding; returns both ends of the last step, and the force.
+    """Bisect the heading between standing and sliding; return both ends of the last step, and the force.
 
     Args:
-        ctx: of the run.
+        ctx: context of the run.
         low: smallest heading, deg.
         high: largest heading, deg.
-        step: how near the two ends must come, deg.
+        step: largest distance of the two ends, deg.
         sense: 1 to the left, -1 to the right.
 
     Returns:
-        In deg; the second is None where the robot still stood at the largest heading, the first where it slid
-        at the smallest. The measured force of the fan (N) is None where no sensor measures it.
+        Headings in deg: the second is None if the robot still stood at the largest heading, the first if it
+        slid at the smallest. Then the measured force of the fan, N; None without a sensor.
     """
     stood, force_n = stands(ctx, sense * low)
     if not stood:
@@ -40,7 +40,7 @@ def hold_angle(ctx: Context, low: float, high: float, step: float, sense: float)
 
 
 def stands(ctx: Context, heading_deg: float) -> tuple[bool, float | None]:
-    """Whether the robot, set on the wall at this heading with locked wheels, stays; and the fan's force."""
+    """Place the robot on the wall with locked wheels; return whether it stays, and the fan's force, N."""
     x_m, y_m, _ = ctx.source.config.environment.start_pose
     pose = (x_m, y_m, math.radians(heading_deg))
     bench = ctx.reopen(

@@ -1,4 +1,4 @@
-"""What a surface does to the robot, from driven motions: slip per metre, and whether it holds at rest."""
+"""Slip per metre on a surface from driven motions, and whether the robot holds at rest."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hil.loop.driven_motion import Motion
 from hil.procedure.tracking_errors import moved_at_rest, must_be_seen_to_its_end
 
 _HELD_M = 2e-3
-_TILT_RAD = 0.02  # how far the direction of slip may be off that of gravity in the next line
+_TILT_RAD = 0.02  # angle between slip and gravity in the next line
 
 
 @dataclass(frozen=True)
 class Slip:
-    """What one motion lost against its own wheels.
+    """Slip of one motion against its wheel odometry.
 
     Attributes:
         downhill_m, leftward_m: displacement beyond what the wheels rolled, wall axes (-X, +Y).
@@ -35,7 +35,7 @@ class Slip:
     rolled_m: float
 
     def per_metre(self) -> tuple[float, float, float]:
-        """Downhill and leftward slip, m/m, and turning, rad/m."""
+        """Return downhill and leftward slip, m/m, and turning, rad/m."""
         return (
             self.downhill_m / self.rolled_m,
             self.leftward_m / self.rolled_m,
@@ -44,25 +44,24 @@ class Slip:
 
 
 def slip_of(motion: Motion, rolled: Array) -> Slip:
-    """Truth from motion capture minus wheel odometry, laid along the true heading.
+    """Return the slip: motion capture minus wheel odometry, with the odometry along the true heading.
 
     With the true heading a drift in heading does not appear as slip sideways. The odometry is the bench's
-    own, with
-    its wheels and its forward model: a filter that reads the wheels alike has this slip to reckon with.
+    own, with its wheels and its forward model, so the slip is valid for a filter with the same wheel model.
 
     Args:
-        motion: driven.
+        motion: the driven motion.
         rolled: (n, 3) poses by odometry, one per cycle.
 
     Raises:
-        DataError: wheels or motion capture are missing for part of the motion, or nothing was rolled.
+        DataError: wheels or motion capture are missing for part of the motion, or the wheels did not roll.
     """
     wheels, truth = motion.wheels, motion.mocap
     known = np.all(np.isfinite(wheels), axis=1) & np.all(np.isfinite(truth), axis=1)
     must_be_seen_to_its_end(known, "wheels and motion capture together", "a motion")
     rolled, truth = rolled[known], truth[known]
-    heading, believed = np.unwrap(truth[:, 2]), np.unwrap(rolled[:, 2])
-    off = heading - believed
+    heading, by_odometry = np.unwrap(truth[:, 2]), np.unwrap(rolled[:, 2])
+    off = heading - by_odometry
     turn = 0.5 * (off[1:] + off[:-1])
     c, s = np.cos(turn), np.sin(turn)
     step = np.diff(rolled[:, :2], axis=0)
@@ -88,12 +87,12 @@ class Rate:
 
 
 def rate(there: ArrayLike, back: ArrayLike, systematic: float) -> Rate:
-    """Mean of pairs driven there and back: what depends on the direction (radii, steering zeros) cancels.
+    """Return the mean of pairs driven there and back: effects of geometry (radii, steering zeros) cancel.
 
     Args:
-        there: per metre, one value per repetition.
+        there: values per metre, one per repetition.
         back: the same in the opposite direction.
-        systematic: share of the mean that repetitions cannot show (95 %), for example starts and stops.
+        systematic: systematic error as a share of the mean (95 %), for example by starts and stops.
     """
     pairs = 0.5 * (np.asarray(there, dtype=np.float64) + np.asarray(back, dtype=np.float64))
     mean, spread = float(pairs.mean()), 0.0
@@ -105,14 +104,14 @@ def rate(there: ArrayLike, back: ArrayLike, systematic: float) -> Rate:
 
 @dataclass(frozen=True)
 class NextLine:
-    """What a line in one direction will slip: (3,) per metre along wall x, wall y, and turning; its sigma."""
+    """Expected slip of a line in one direction, and its sigma: (3,) per metre, wall x, wall y, turning."""
 
     mean: Array
     sigma: Array
 
 
 def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, NextLine]:
-    """What the next line will slip in each direction, from those that were driven.
+    """Predict the slip of the next line in each direction from the driven lines.
 
     Args:
         every: downhill, leftward (m/m) and turning (rad/m) of each repetition, (n, 3) by direction.
@@ -136,7 +135,7 @@ def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, N
 
 
 def held(motion: Motion) -> bool:
-    """Whether the robot stood, but for the millimetre by which tyres give way.
+    """Whether the robot stood still, except for the millimetre by which tyres deform.
 
     A robot whose weight hangs behind its wheels turns as it slides and may come to rest again.
     """
@@ -151,7 +150,7 @@ def downhill(start: Array, way_m: float, direction: str) -> Array:
 
 
 def draw(ctx: Any, rows: Sequence[dict[str, list[float]]]) -> None:
-    """Downhill slip of every motion, by direction."""
+    """Draw the downhill slip of every motion, by direction."""
     from hil.report.plot_style import SERIES, new_figure, style
 
     figure = new_figure(4.6, 2.6)

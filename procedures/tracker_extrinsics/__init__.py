@@ -1,8 +1,8 @@
-"""Where the tracking camera sits on the body, and how late its poses really are.
+"""Measures the mount of the tracking camera on the body, its scale, and the true latency of its poses.
 
-The robot turns and drives small distances while motion capture watches. Camera motion and body motion over
-half-second intervals give mount, scale and time offset together (hand-eye calibration). The result is
-applied and driven again, and left as a fragment of `bench.toml`.
+The robot turns and drives small distances, observed by motion capture. Camera motion and body motion over
+half-second intervals give mount, scale and time offset together (hand-eye calibration). The robot drives
+again with the result, which is left as a fragment of `bench.toml`.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8
 _UNUSED: dict[str, object] = {"encoders": None, "imu": None}
 _TRIED = 2
-"""How many trips of the tour are driven again with the result: the turns, and one line."""
+"""Number of trips that are driven again with the result: the turns, and one line."""
 _LEAST_SCALE_SIGMA = 1e-5
 _SCALE_UNKNOWN = 0.1
 
 
 class Parameters(BaseModel):
-    """How far to turn (on a wall: as far as it allows) and to drive, and how often.
+    """Size and number of turns (on a wall: as far as it allows) and drives.
 
-    `session_spread` is how much the camera's scale differs from one session to the next (one sigma), as long
-    as the robot's record does not tell: a camera builds its map anew each time. In virtual time several
-    `processes` drive round trips at once; those are not recorded.
+    `session_spread` is the change of the camera's scale from one session to the next (one sigma), if it is
+    not in the robot's record: a camera builds a new map each time. In virtual time several `processes` drive
+    round trips at once; these are not recorded.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -68,7 +68,7 @@ class Parameters(BaseModel):
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
-    """The mount, its lateness, and whether both help."""
+    """Yield the mount, the latency error, and the improvement by both."""
     for axis in "xy":
         yield Measurement(
             f"mount_{axis}", "mm", low=-400.0, high=400.0, rationale="within the robot's outline"
@@ -116,7 +116,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 
 def tour(p: Parameters, config: BenchConfig) -> tuple[Trip, ...]:
-    """Round trips: turns to both sides, a line along each axis."""
+    """Return round trips: turns to both sides, a line along each axis."""
     turn = p.turn_deg / _DEG
     if config.environment.on_wall:
         turn = min(turn, _HEADING_SHARE * config.safety.heading_limit_rad)
@@ -126,7 +126,7 @@ def tour(p: Parameters, config: BenchConfig) -> tuple[Trip, ...]:
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """The tour, and its beginning once more."""
+    """Plan the tour, and its first trips again."""
     start = np.array(config.environment.start_pose)
     trips = tour(p, config)
     yield PlannedStep("tour", tuple(legs_of(trips, start, p.speed_m_s)))
@@ -135,7 +135,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """Where the camera sits, and what knowing it brings."""
+    """Return the position of the camera, and the improvement by the known mount."""
     return (
         f"The camera sits {v['mount_x']:.0f} mm ahead of the robot's middle and {v['mount_y']:.0f} mm to the "
         f"left. With its mount known, its position error fell from {v['before.position_rmse']:.1f} mm to "
@@ -169,14 +169,14 @@ def run(ctx: Context) -> None:
 
 
 def unmeasured(config: BenchConfig) -> dict[str, object]:
-    """Overrides for a camera whose scale is still to be found: no check stops the robot for it."""
+    """Return overrides for a camera of unknown scale, so that no check stops the robot because of it."""
     if config.estimator.wheel_scale_sigma > 0.0:
         return _UNUSED
     return {**_UNUSED, "estimator.tracker.scale_sigma": _SCALE_UNKNOWN}
 
 
 def collected(legs: Sequence[Leg]) -> tuple[Series, Series, Intervals]:
-    """Truth and camera over all legs on one time axis, and the camera's intervals within each."""
+    """Return truth and camera of all legs on one time axis, and the camera's intervals within the legs."""
     parts = [intervals(leg.seen) for leg in legs if len(leg.seen) > 2]
     if not parts or not any(len(leg.truth) for leg in legs):
         raise DeviceError("tracker", "no usable poses on the whole tour", remedy="hil run bring_up")
@@ -191,7 +191,7 @@ def _joined(parts: list[Series]) -> Series:
 
 
 def evaluate(ctx: Context, driven: Sequence[Sequence[Leg]]) -> Extrinsics:
-    """Solve, measure, draw; `driven` are the legs of each round trip."""
+    """Solve, set measurements and draw; `driven` holds the legs of each round trip."""
     legs = list(chain.from_iterable(driven))
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
@@ -223,9 +223,9 @@ def evaluate(ctx: Context, driven: Sequence[Sequence[Leg]]) -> Extrinsics:
 
 
 def disagreement_m(legs: Iterable[Leg]) -> float:
-    """RMS distance of the aligned camera from motion capture, both from the start of each leg.
+    """Return the RMS distance of the aligned camera from motion capture, both from the start of each leg.
 
-    Legs whose start motion capture did not see do not count, nor does any sample while it saw nothing.
+    Legs whose start is missing in motion capture are left out, and samples in its gaps.
     """
     errors = []
     for leg in legs:
@@ -244,9 +244,9 @@ def disagreement_m(legs: Iterable[Leg]) -> float:
 
 
 def apply(ctx: Context, found: Extrinsics, trips: Sequence[Trip]) -> None:
-    """Drive some of the tour's trips with the result; leave it as a fragment.
+    """Drive some of the tour's trips with the result; leave the result as a fragment.
 
-    What the bench believes changes; how an emulated camera is mounted does not.
+    Only the configuration changes, not the mount of an emulated camera.
     """
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
@@ -273,14 +273,14 @@ def apply(ctx: Context, found: Extrinsics, trips: Sequence[Trip]) -> None:
 
 
 def _leave(ctx: Context, found: Extrinsics, values: dict[str, Any], own_sigma: float, spread: float) -> None:
-    """The camera's part of the record.
+    """Leave the camera's part of the record.
 
     Args:
-        ctx: of the run.
-        found: mount, scale and lateness.
+        ctx: context of the run.
+        found: mount, scale and latency error.
         values: keys of `[tracker]`.
-        own_sigma: of the scale in this session.
-        spread: of the scale from session to session.
+        own_sigma: sigma of the scale in this session.
+        spread: sigma of the scale from session to session.
     """
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None

@@ -1,7 +1,6 @@
-"""Drives round trips for the camera's calibration; keeps of each leg what camera and motion capture said.
+"""Drives round trips for the camera's calibration; keeps the camera and motion capture samples of each leg.
 
-On one bench, leg after leg; in virtual time, where several processes are asked for, each round trip on a
-bench of its own.
+All legs are driven on one bench; in virtual time with several processes, each round trip has its own bench.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from hil.procedure.worker_processes import Workers
 from hil.robot.trajectories import Trajectory, line
 
 Trip = tuple[tuple[float, float, float], ...]
-"""Poses that a round trip goes to, relative to its start, m and rad; the last is the start."""
+"""Poses of a round trip, relative to its start, m and rad; the last one is the start."""
 _REST_S = 0.5
 _BETWEEN_S = 1.0
 
 
 @dataclass(frozen=True)
 class Leg:
-    """What was seen of one leg, times in s since the first cycle of its bench's first leg.
+    """Samples of one leg; times in s since the first cycle of its bench's first leg.
 
     Attributes:
-        begin_s, end_s: of the leg.
+        begin_s, end_s: begin and end of the leg.
         truth: poses by motion capture, (n, 3).
-        seen: the camera's own poses, as `hil.procedure.sample_arrays.camera` gives them.
-        aligned: poses of the body by the camera and its mount as configured, (n, 3).
+        seen: the camera's own poses, as returned by `hil.procedure.sample_arrays.camera`.
+        aligned: poses of the body by the camera and its configured mount, (n, 3).
     """
 
     begin_s: float
@@ -48,7 +47,7 @@ class Leg:
     aligned: Series
 
     def later(self, by_s: float) -> Leg:
-        """The same leg, so much later."""
+        """Return the same leg, shifted by `by_s`."""
         return Leg(
             self.begin_s + by_s,
             self.end_s + by_s,
@@ -59,7 +58,7 @@ class Leg:
 
 
 def legs_of(trips: Sequence[Trip], start: Array, speed_m_s: float) -> list[Trajectory]:
-    """The legs of round trips from one place, one after the other."""
+    """Return the legs of round trips from one pose, in order."""
     legs, before = [], np.zeros(3)
     for stop in (stop for trip in trips for stop in trip):
         after = np.array(stop, dtype=np.float64)
@@ -72,13 +71,13 @@ def legs_of(trips: Sequence[Trip], start: Array, speed_m_s: float) -> list[Traje
 def drive_trips(
     ctx: Context, slug: str, trips: Sequence[Trip], overrides: Mapping[str, object]
 ) -> list[list[Leg]]:
-    """Drive round trips; returns the legs of each, on one time axis.
+    """Drive round trips; return the legs of each, on one time axis.
 
     Args:
-        ctx: of the run; its parameters say `speed_m_s` and how many `processes`.
-        slug: names the bench's recording, as `Context.reopen` wants it.
-        trips: where to go.
-        overrides: of the bench.
+        ctx: context of the run; its parameters hold `speed_m_s` and `processes`.
+        slug: label of the bench's recording for `Context.reopen`.
+        trips: round trips.
+        overrides: overrides of the bench.
     """
     p: Any = ctx.parameters
     total = sum(map(len, trips))
@@ -103,7 +102,7 @@ def drive_trips(
 def _legs(
     bench: Bench, trips: Sequence[Trip], speed_m_s: float, rest_s: float, on_trip: Callable[[int], object]
 ) -> Iterator[Leg]:
-    """Drive on one bench; odometry goes on from one leg to the next."""
+    """Drive on one bench; odometry continues from one leg to the next."""
     here = begin = stand(bench, rest_s)
     first_ns: int | None = None
     for number, leg in enumerate(legs_of(trips, begin, speed_m_s), start=1):
@@ -116,11 +115,11 @@ def _legs(
 
 
 def _seen(motion: Motion) -> Leg:
-    """What was seen of a leg that begins at 0; queues may hold older samples, which do not count."""
+    """Return the samples of a leg that begins at 0, without older samples from queues."""
     truth, aligned = (poses(motion, kind).since(0.0) for kind in ("mocap", "tracker"))
     return Leg(0.0, float(motion.t_s[-1]), truth, camera(motion).since(0.0), aligned)
 
 
 def _alone(bench: Bench, trip: Trip, speed_m_s: float, number: int) -> list[Leg]:
-    """A trip in another process, a little later than others, so that it does not repeat their noise."""
+    """Drive a trip in another process, a little later than others, so that it does not repeat their noise."""
     return list(_legs(bench, [trip], speed_m_s, _REST_S + STAGGER_S * number, lambda k: None))

@@ -3,8 +3,8 @@
 Over an interval the body turns by a rotation R about the surface normal and its origin moves by d (body
 axes at the start). A camera at m, turned by Q in the body, then turns by Q' R Q and moves, in its own
 axes at the start, by s Q' (d + (R - 1) m), s being the scale of its odometry: the AX = XB problem of
-hand-eye calibration. No frame of either system enters, so neither has to be known, and drift of the
-camera only counts within an interval. Not seen from motion in a plane: how high the camera sits.
+hand-eye calibration. The frames of both systems cancel, so neither has to be known, and drift of the
+camera only counts within an interval. The camera's height cannot be found from motion in a plane.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Intervals:
 
     Attributes:
         begin_s, end_s: (n,) stamps of the camera.
-        moved_m: (n, 3) in the camera's axes at the beginning.
-        turned: rotations, end in beginning.
+        moved_m: (n, 3) displacement in the camera's axes at the begin.
+        turned: rotations, end relative to begin.
     """
 
     begin_s: Array
@@ -46,25 +46,25 @@ class Intervals:
         return len(self.begin_s)
 
     def only(self, kept: NDArray[np.bool_]) -> Intervals:
-        """The rows of which `kept` (n,) is true."""
+        """Return the rows for which `kept` (n,) is true."""
         return Intervals(self.begin_s[kept], self.end_s[kept], self.moved_m[kept], self.turned[kept])
 
     def seen_by(self, truth: Truth) -> Intervals:
-        """The legs whose begin and end motion capture saw."""
+        """Return the intervals whose begin and end motion capture saw."""
         return self.only(truth.sees(self.begin_s) & truth.sees(self.end_s))
 
 
 @dataclass(frozen=True)
 class Extrinsics:
-    """Result; uncertainties are half of the 95 % interval.
+    """Result of the calibration; uncertainties are half of the 95 % interval.
 
     Attributes:
         position_m, position_uncertainty_m: (2,) x and y in the body.
         rotation_wxyz: camera (robot axes) in the body.
-        angles_rad, angles_uncertainty_rad: (3,) roll, pitch, yaw of the correction to the mount believed.
-        scale, scale_uncertainty: of the camera's distance over the true distance.
+        angles_rad, angles_uncertainty_rad: (3,) roll, pitch, yaw of the correction to the configured mount.
+        scale, scale_uncertainty: the camera's distance over the true distance.
         late_s, late_uncertainty_s: by how much the camera's stamps are later than the truth.
-        position_rms_m, angle_rms_rad: what is left, per interval and axis.
+        position_rms_m, angle_rms_rad: RMS residuals, per interval and axis.
         outliers: share of intervals beyond four sigma.
         covariance: (7, 7) of x, y, roll, pitch, yaw, scale, lateness: m, m, rad, rad, rad, 1, s.
     """
@@ -85,7 +85,7 @@ class Extrinsics:
 
 
 def intervals(seen: Series, span_s: float = INTERVAL_S) -> Intervals:
-    """Motion of the camera over intervals that follow each other."""
+    """Return the motion of the camera over successive intervals."""
     t = seen.t_s
     marks = np.searchsorted(t, np.arange(t[0], t[-1], span_s)) if len(seen) else np.empty(0, dtype=int)
     marks = np.unique(np.minimum(marks, len(t) - 1))
@@ -99,7 +99,7 @@ def intervals(seen: Series, span_s: float = INTERVAL_S) -> Intervals:
 
 
 def join(parts: list[Intervals]) -> Intervals:
-    """Intervals of several motions, whose times must be on one axis."""
+    """Join intervals of several motions, whose times must be on one axis."""
     return Intervals(
         np.concatenate([p.begin_s for p in parts]),
         np.concatenate([p.end_s for p in parts]),
@@ -115,17 +115,17 @@ class Truth:
         self._t_s, self._pose = seen.t_s, seen.values
 
     def sees(self, t_s: Array) -> NDArray[np.bool_]:
-        """Whether there was a sample around each instant (n,), as in a gap that is interpolated."""
+        """Return whether each time (n,) has samples near it, so that interpolation is allowed."""
         near = np.clip(np.searchsorted(self._t_s, t_s), 1, max(len(self._t_s) - 1, 1))
         away_s = np.minimum(*(np.abs(np.take(self._t_s, k, mode="clip") - t_s) for k in (near - 1, near)))
         return np.asarray(away_s <= 0.5 * LONGEST_GAP_S)
 
     def pose(self, t_s: Array) -> Array:
-        """(n, 3), interpolated; the ends are held. What was not seen is for the caller to leave out."""
+        """Return interpolated poses (n, 3); constant beyond the ends. The caller has to leave out gaps."""
         return np.column_stack([np.interp(t_s, self._t_s, self._pose[:, k]) for k in range(3)])
 
     def steps(self, begin_s: Array, end_s: Array) -> tuple[Array, Array]:
-        """Displacement (n, 2) in body axes at the beginning, and turn (n,)."""
+        """Return displacement (n, 2) in body axes at the begin, and turn (n,)."""
         a, b = self.pose(begin_s), self.pose(end_s)
         c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
         dx, dy = (b - a)[:, 0], (b - a)[:, 1]
@@ -133,7 +133,7 @@ class Truth:
 
 
 def predict(z: Array, believed_wxyz: ArrayLike, step_m: Array, turn: Array) -> tuple[Array, Rotation]:
-    """Camera motion (n, 3) and turn for parameters (x, y, rotation vector (3), scale - 1, lateness)."""
+    """Predict camera motion (n, 3) and turn for (x, y, rotation vector (3), scale - 1, lateness)."""
     mount = _mount(z, believed_wxyz)
     c, s = np.cos(turn) - 1.0, np.sin(turn)
     moved = np.column_stack(
@@ -149,14 +149,14 @@ def _mount(z: Array, believed_wxyz: ArrayLike) -> Rotation:
 
 
 def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: ArrayLike) -> Extrinsics:
-    """Least squares over all intervals in which something moved.
+    """Solve by least squares over all intervals with motion.
 
-    Position and angle count by their own scatter, found along with the rest; single jumps count little.
+    Position and angle are weighted by their scatter, which is estimated too; outliers get little weight.
 
     Raises:
-        DataError: the camera was not tracking, or hardly moved.
+        DataError: too few usable intervals, because the camera was not tracking or hardly moved.
     """
-    from scipy.optimize import least_squares  # half a second to import, and not needed to drive
+    from scipy.optimize import least_squares  # takes 0.5 s to import, not needed to drive
 
     x, y, _ = np.asarray(believed_m, dtype=np.float64)
     step_m, turn = truth.steps(parts.begin_s, parts.end_s)
@@ -207,14 +207,14 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
 
 
 def _scatter(errors: Array) -> float:
-    """Standard deviation by the median, which outliers do not move."""
+    """Return the standard deviation from the median, robust against outliers."""
     return max(1.4826 * float(np.median(np.abs(errors))), 1e-7)
 
 
 def lateness_curve(
     parts: Intervals, truth: Truth, found: Extrinsics, believed_wxyz: ArrayLike, late_s: Array
 ) -> Array:
-    """RMS of the turn's error, rad, for other latenesses than the one found: a sharp valley is a good fit."""
+    """Return the RMS error of the turn, rad, over assumed latencies: a sharp minimum is a good fit."""
     z = np.array([*found.position_m, *found.angles_rad, found.scale - 1.0, 0.0])
     values = []
     for late in late_s:
@@ -225,7 +225,7 @@ def lateness_curve(
 
 
 def camera_path(truth: Truth, t_s: Array, found: Extrinsics) -> Array:
-    """(n, 2) where the camera was, wall frame, by motion capture and the mount found."""
+    """Return the camera's position (n, 2), wall frame, from motion capture and the found mount."""
     pose = truth.pose(t_s)
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x, y = found.position_m
@@ -233,7 +233,7 @@ def camera_path(truth: Truth, t_s: Array, found: Extrinsics) -> Array:
 
 
 def laid_over(own_m: Array, wanted_m: Array) -> Array:
-    """A path (n, 3) turned and shifted as a whole onto another (n, 2) in its plane; (n, 2) of it (Kabsch)."""
+    """Align a path (n, 3) to another (n, 2) in the plane by rotation and shift (Kabsch); return (n, 2)."""
     middle = wanted_m.mean(axis=0)
     flat = np.column_stack([wanted_m - middle, np.zeros(len(wanted_m))])
     turn, _ = Rotation.align_vectors(flat, own_m - own_m.mean(axis=0))

@@ -1,4 +1,4 @@
-"""Report of where the camera sits: table, path, and the valley of its lateness."""
+"""Report of the camera's mount: table, path, and error over latency."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DEG = float(np.degrees(1.0))
 
 
 def table(ctx: Context, found: Extrinsics) -> None:
-    """What was believed and what was found, with 95 % intervals."""
+    """Add a table of configured and found values, with 95 % intervals."""
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     rows = [
@@ -58,15 +58,15 @@ def table(ctx: Context, found: Extrinsics) -> None:
     )
     ctx.table(
         "Camera on the body",
-        ["", "believed", "found", "95 %", "unit"],
+        ["", "configured", "found", "95 %", "unit"],
         rows,
-        "Angles are the turn of the mount against the one believed, about body axes. The height above the "
+        "Angles are the turn of the mount against the configured one, about body axes. The height above the "
         "surface cannot be seen from motion along it.",
     )
 
 
 def draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:
-    """Path of the camera by motion capture, and by the camera, aligned to it."""
+    """Draw the camera's path from motion capture, and the camera's own path, aligned."""
     rows = truth.sees(seen.t_s - found.late_s)
     by_truth = camera_path(truth, seen.t_s[rows] - found.late_s, found)
     laid = laid_over(seen.values[rows, 0:3] / found.scale, by_truth)
@@ -83,7 +83,7 @@ def draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> No
 
 
 def draw_lateness(ctx: Context, parts: Intervals, truth: Truth, found: Extrinsics) -> None:
-    """Error of the turn by lateness, about the one found."""
+    """Draw the error of the turn over latency, around the found value."""
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     late = found.late_s + np.linspace(-0.03, 0.03, 61)
@@ -92,7 +92,7 @@ def draw_lateness(ctx: Context, parts: Intervals, truth: Truth, found: Extrinsic
     axes = style(figure.add_subplot(), "lateness of the camera's stamps (ms)", "error of the turn (mrad)")
     axes.plot(1e3 * late, 1e3 * curve, color=SERIES[0], lw=1.5)
     axes.axvline(1e3 * found.late_s, color=PALETTE["reference"], lw=1.2, ls="--", label="found")
-    axes.axvline(0.0, color=PALETTE["truth"], lw=0.8, label="believed")
+    axes.axvline(0.0, color=PALETTE["truth"], lw=0.8, label="configured")
     axes.set_ylim(bottom=0.0)
     legend(axes)
     ctx.figure(

@@ -1,7 +1,7 @@
-"""The camera's scale: from whole legs, rest to rest, and how much it differs from one session to the next.
+"""The camera's scale from whole legs, rest to rest, and its change from one session to the next.
 
-Half-second intervals know the mount best and the scale badly: each has the noise of both its ends on a few
-centimetres. A leg has it once, on all of its way, and at rest it averages out.
+Half-second intervals determine the mount well and the scale poorly: each has the noise of both ends over a
+few centimetres. A leg has this noise once over its whole length, and averages it at rest.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _SESSIONS_ASSUMED = 3
 
 
 def by_whole_legs(legs: Sequence[Leg], found: Extrinsics) -> Extrinsics:
-    """With the scale of the legs that went anywhere, where at least four did and they know it better.
+    """Return `found` with the scale from whole legs, if at least four moved and this scale is more accurate.
 
     Args:
-        legs: each from rest to rest.
-        found: by half-second intervals; its mount counts.
+        legs: legs from rest to rest.
+        found: result of the half-second intervals; its mount is used.
     """
     ways = np.array([w for w in (_ways(leg, found) for leg in legs) if w is not None])
     if len(ways) < _FEWEST_LEGS:
@@ -50,7 +50,7 @@ def by_whole_legs(legs: Sequence[Leg], found: Extrinsics) -> Extrinsics:
 
 
 def _ways(leg: Leg, found: Extrinsics) -> tuple[float, float] | None:
-    """Distance of the leg's ends by the camera, and of the same places by motion capture and mount, m."""
+    """Return the distance of the leg's ends by the camera, and by motion capture and mount, m."""
     truth, seen = leg.truth, leg.seen
     if len(truth) < 2 or len(seen) < 2:
         return None
@@ -65,7 +65,7 @@ def _ways(leg: Leg, found: Extrinsics) -> tuple[float, float] | None:
 
 
 def _camera_at(truth: Truth, t_s: Array, begin_s: float, end_s: float, found: Extrinsics) -> Array:
-    """(2,) mean place of the camera in the wall frame over a rest."""
+    """Return the mean position (2,) of the camera in the wall frame over a rest."""
     pose = truth.pose(t_s[(t_s >= begin_s) & (t_s <= end_s)])
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x, y = found.position_m
@@ -74,9 +74,9 @@ def _camera_at(truth: Truth, t_s: Array, begin_s: float, end_s: float, found: Ex
 
 
 def session_spread(ctx: Context, scale: float) -> float:
-    """Standard deviation of the camera's scale from one session to the next.
+    """Return the standard deviation of the camera's scale from one session to the next.
 
-    Assumed at first (the parameter, worth three sessions); every earlier version of the record adds to it.
+    The assumed value (the parameter) counts as three sessions; every earlier version of the record is added.
     """
     assumed, folder = ctx.parameters.session_spread, ctx.source.config.record.folder
     found = [scale]

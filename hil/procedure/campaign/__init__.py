@@ -1,7 +1,7 @@
-"""One piece of work run many times: over seeds and parameters, in parallel on Dask, into one table.
+"""Campaigns: one procedure run over many seeds and parameters, in parallel on Dask, into one table.
 
-`plan` makes the cases, `running` runs one of them, `spread` takes any function to processes or machines. The
-others check, keep and send what the runs need, and say what came out as statistics, CSV and a page.
+`cases` expands the cases, `run_case` runs one of them, `dask_run.spread` runs any function on processes or
+machines. The other modules check, store and send input files, and write statistics, CSV and a page.
 """
 
 from hil.procedure.campaign.cases import Axis, Case, expand, parse_axis, parse_seeds

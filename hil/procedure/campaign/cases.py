@@ -19,7 +19,7 @@ _LONGEST_NAME = 80
 
 @dataclass(frozen=True)
 class Axis:
-    """One setting and the values that it takes."""
+    """One varied setting and its values."""
 
     key: str
     values: tuple[str, ...]
@@ -34,12 +34,12 @@ class Case:
 
     @property
     def group(self) -> str:
-        """The varied settings in words: equal for the cases that differ in their seed only."""
+        """The varied settings as text: equal for cases that differ only in their seed."""
         return ", ".join(f"{key}={value}" for key, value in self.settings) or "all"
 
     @property
     def name(self) -> str:
-        """A folder name that depends on the case alone, so that a larger campaign finds finished runs."""
+        """Folder name that depends only on the case, so that a larger campaign finds finished runs."""
         text = f"seed={self.seed} " + " ".join(f"{k}={v}" for k, v in self.settings)
         name = re.sub(r"[^\w.+=-]+", "_", text).strip("_")
         if name == text.strip().replace(" ", "_") and len(name) <= _LONGEST_NAME:
@@ -51,10 +51,10 @@ _SEEDS = "0:10 for 0 to 9, or 1,4,7"
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """Seeds as `0:10` (ten of them, 0 to 9), `1,4,7`, or both mixed.
+    """Parse seeds: `0:10` (ten seeds, 0 to 9), `1,4,7`, or both mixed.
 
     Raises:
-        UsageError: anything else, no seed, or one that is named twice.
+        UsageError: the text cannot be parsed, contains no seed, or names a seed twice.
     """
     seeds: list[int] = []
     for part in text.split(","):
@@ -80,10 +80,10 @@ def _check_named_once(option: str, text: str, found: Sequence[object]) -> None:
 
 
 def parse_axis(text: str) -> Axis:
-    """`key=a,b,c`; brackets keep their commas, and `key=a;b` is split at the semicolons only.
+    """Parse `key=a,b,c`. Commas in brackets do not split; `key=a;b` is split only at semicolons.
 
     Raises:
-        UsageError: no key, fewer than one value, or one that is named twice.
+        UsageError: no key, no value, or a value named twice.
     """
     key, equals, rest = text.partition("=")
     separator = ";" if ";" in rest else ","
@@ -107,10 +107,10 @@ def _split(text: str, separator: str) -> list[str]:
 
 
 def expand(seeds: Sequence[int], axes: Sequence[Axis]) -> tuple[Case, ...]:
-    """All cases, seed by seed within each combination.
+    """Return all cases, ordered by combination of settings, then by seed.
 
     Raises:
-        UsageError: a setting that is varied twice, or too many cases.
+        UsageError: a setting is varied twice, or there are too many cases.
     """
     keys = [axis.key for axis in axes]
     twice = sorted({k for k in keys if keys.count(k) > 1})

@@ -1,12 +1,12 @@
-"""Runs the cases of a campaign in parallel on Dask: worker processes here, or a cluster elsewhere.
+"""Runs the cases of a campaign in parallel on Dask: local worker processes, or a remote cluster.
 
-Processes here share the files of this computer. A cluster is sent what it needs, and shares none.
-Dask restarts a worker that dies and runs its case again; a case that kills its worker over and over is
-given up and the others go on.
+Local processes share the files of this computer. A cluster shares none and receives what it needs.
+Dask restarts a worker that dies and repeats its case. A case that kills its worker repeatedly is given up;
+the other cases go on.
 
-Ctrl-C and SIGTERM end the work without messages of Dask: a call of Dask that a signal breaks into leaves
-callbacks behind that fail, and a client that leaves while its jobs still run is reported missing with each
-result. Both would end as tracebacks in the log.
+Ctrl-C and SIGTERM are handled outside of Dask calls, because they would cause tracebacks in the log: an
+interrupted Dask call leaves callbacks behind that fail, and a client that disconnects while its jobs run is
+reported missing with each result.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ J = TypeVar("J")
 R = TypeVar("R")
 _RETRIES = 2
 _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
-"""Dask looks at the stack of each worker a hundred times a second, for a page that is not used here."""
+"""Turn off Dask's profiler: it samples each worker's stack a hundred times a second, for an unused page."""
 
 
 class Strikes:
-    """Signals that are put off until Dask is not at work; a second one is not, for Dask may wait in vain.
+    """Defer the first signal until no Dask call runs; handle a second one at once, as a Dask call may hang.
 
-    What handled them before is called, and raises what ends the work.
+    A signal is passed to its former handler, whose exception ends the work.
     """
 
     def __init__(self) -> None:
         self._former: dict[int, Any] = {}
         self._put_off: list[int] = []
-        self._heard = False
+        self._at_once = False
 
     def __enter__(self) -> Strikes:
         self._former = _handlers()
@@ -60,29 +60,29 @@ class Strikes:
         _put_back(self._former)
 
     def _strike(self, number: int, frame: FrameType | None) -> None:
-        if self._heard or self._put_off:
+        if self._at_once or self._put_off:
             self._former[number](number, frame)
         else:
             self._put_off.append(number)
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Within, a signal strikes at once, also one that came before."""
-        self._heard = True
+        """In this block a signal, including a deferred one, is handled at once."""
+        self._at_once = True
         try:
             if self._put_off:
                 number = self._put_off.pop()
                 self._former[number](number, None)
             yield
         finally:
-            self._heard = False
+            self._at_once = False
 
 
 def take_back(client: Client, futures: Sequence[Future]) -> None:
-    """Cancel jobs, and wait until the scheduler has done so and lists none of them any more."""
+    """Cancel jobs and wait until the scheduler reports the cancellation."""
     reached = client.status == "running"
     client.cancel(futures, force=True)
-    with suppress(OSError):  # a scheduler that goes meanwhile answers nothing either
+    with suppress(OSError):  # the scheduler may end meanwhile
         for _ in range(_LOOKS if reached else 0):
             if any(event.get("action") == "cancel" for _, event in client.get_events(client.id)):
                 return
@@ -91,7 +91,7 @@ def take_back(client: Client, futures: Sequence[Future]) -> None:
 
 
 def close_once(stack: ExitStack) -> None:
-    """End client and workers; a second signal meanwhile only made Dask wait for them in vain, 10 s long."""
+    """End client and workers; ignore signals meanwhile, since one would make Dask wait 10 s for nothing."""
     handlers = _handlers()
     for number in handlers:
         signal.signal(number, signal.SIG_IGN)
@@ -102,7 +102,7 @@ def close_once(stack: ExitStack) -> None:
 
 
 def _handlers() -> dict[int, Any]:
-    """What signals are handled by here; those that are ignored, or end the process, are left alone."""
+    """Return the signals that have Python handlers, with these; ignored and default actions are left out."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     found = {number: signal.getsignal(number) for number in _STRIKES}
@@ -120,11 +120,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Unable:
-    """What `work` returns on a worker of a cluster that can do no job, because its disk is full for example.
+    """Returned by `work` on a cluster worker that cannot do any job, for example because its disk is full.
 
     Attributes:
-        worker: its address.
-        reason: in words, with the address.
+        worker: address of the worker.
+        reason: text that includes the address.
     """
 
     worker: str
@@ -141,23 +141,23 @@ def spread(
     scheduler: str = "",
     parcel: WorkerFiles | None = None,
 ) -> None:
-    """Do all jobs; results come in the order in which they end.
+    """Do all jobs; return the results in the order in which the jobs end.
 
-    A worker of a cluster that is `Unable` is named and leaves, and another one does its job.
+    A cluster worker that returns `Unable` is logged and retired; another worker does its job.
 
     Args:
-        work: what to do; must be importable by name, and raise nothing that is expected.
-        jobs: what to do it with; sent to the workers.
-        lost: result of a job whose worker died or that raised, or that no worker could do, with the reason.
-        done: called here with every result.
-        workers: processes on this computer; 0 works in this one, without Dask.
+        work: function to call with each job; must be importable by name, and must not raise expected errors.
+        jobs: arguments of `work`; sent to the workers.
+        lost: makes the result of a job that raised or that no worker could do or finish, from the reason.
+        done: called in this process with every result.
+        workers: processes on this computer; 0 runs all jobs in this process, without Dask.
         scheduler: address of a Dask scheduler to use instead.
-        parcel: files that its workers have until the end (`hil.procedure.campaign.remote_workers.luggage`).
+        parcel: files that cluster workers keep until the end (`remote_workers.luggage`).
 
     Raises:
-        UsageError: Dask is not installed, the scheduler does not answer, or a worker is of another make.
-        Aborted: no worker has room for the files, or the scheduler has gone; results that came before have
-            been given to `done`.
+        UsageError: Dask is not installed, the scheduler does not answer, or a worker has other versions.
+        Aborted: no worker has room for the files, or the scheduler has ended; `done` has received the results
+            up to then.
     """
     if workers == 0 and not scheduler:
         for job in jobs:
@@ -194,7 +194,7 @@ def spread(
 
 
 def _settled(result: R | Unable, job: J, lost: Callable[[J, str], R]) -> R:
-    """The result of a job that no other worker can do again."""
+    """Return the result of a job; an `Unable` becomes a lost job, since no other worker can repeat it."""
     return lost(job, result.reason) if isinstance(result, Unable) else result
 
 
@@ -205,7 +205,7 @@ def _left_to_others(client: Client, unable: Unable) -> bool:
 
 
 def _make_ready(client: Client, scheduler: str, parcel: WorkerFiles | None, stack: ExitStack) -> None:
-    """Hold the workers of a cluster against this computer, and send them the files until `stack` ends."""
+    """Check that cluster workers have this computer's versions; send them the files until `stack` ends."""
     from hil.procedure.campaign.remote_workers import carried, check_workers, report_refused
 
     try:
@@ -219,12 +219,12 @@ def _make_ready(client: Client, scheduler: str, parcel: WorkerFiles | None, stac
 
 def _reason(error: BaseException) -> str:
     if type(error).__name__ == "KilledWorker":
-        return "its worker process died, again and again"
+        return "its worker process died repeatedly"
     return f"{type(error).__name__}: {error}"
 
 
 def check_dask() -> None:
-    """Raises `UsageError` with what to do where Dask is not installed."""
+    """Raise `UsageError` with a remedy if Dask is not installed."""
     try:
         importlib.import_module("distributed")
     except ImportError:
@@ -236,7 +236,7 @@ def check_dask() -> None:
 
 @contextmanager
 def _client(workers: int, scheduler: str) -> Iterator[Client]:
-    for name in ("distributed", "distributed.client"):  # Dask gives both a level of their own
+    for name in ("distributed", "distributed.client"):  # Dask sets a log level for both
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         client = _connected(scheduler, stack) if scheduler else _with_workers(workers, stack)
@@ -247,7 +247,7 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
 
 
 def _connected(scheduler: str, stack: ExitStack) -> Client:
-    """A client of a cluster elsewhere, until `stack` ends."""
+    """Return a client of a remote cluster, closed when `stack` ends."""
     from distributed import Client
 
     try:
@@ -260,7 +260,7 @@ def _connected(scheduler: str, stack: ExitStack) -> Client:
 
 
 def _with_workers(workers: int, stack: ExitStack) -> Client:
-    """A client of processes here, until `stack` ends."""
+    """Start local worker processes and return their client; both end with `stack`."""
     from dask import config
     from distributed import Client, LocalCluster
 
@@ -278,14 +278,14 @@ def _with_workers(workers: int, stack: ExitStack) -> Client:
         with _interrupts_put_off(), config.set(_UNWATCHED):
             cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
             return stack.enter_context(Client(cluster))
-    except (RuntimeError, OSError) as error:  # a worker that was killed before it had begun
+    except (RuntimeError, OSError) as error:  # a worker was killed while it started
         raise Aborted(f"the workers did not start ({error})", remedy="go on with --resume") from None
 
 
 @contextmanager
 def _interrupts_put_off() -> Iterator[None]:
-    """Ctrl-C waits; threads and processes that begin meanwhile, and theirs, never hear of it."""
-    ensure_running()  # a process that starts Python's own tracker gets Ctrl-C again
+    """Block SIGINT, also for all threads and processes that are started meanwhile, and their children."""
+    ensure_running()  # starting Python's resource tracker would unblock SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -1,4 +1,4 @@
-"""Which varied values made no difference: a setting that never came into play has not been tested."""
+"""Finds varied values that made no difference: a setting without effect has not been tested."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from hil.procedure.campaign.table import Row
 
 
 def alike(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Values of a varied setting under which every run measured the same, to the last bit.
+    """Return groups of values of a varied setting for which every run measured bit-identical values.
 
-    Each run is held against that of the same seed and the same other settings.
+    Each run is compared with the run of the same seed and the same other settings.
 
     Returns:
-        By setting and set of such values: `key` and its `values`; none where nothing was measured.
+        One entry per group: `key` of the setting and the `values`; none if nothing was measured.
     """
     keys = dict.fromkeys(key for row in rows for key, _ in row.case.settings)
     return [{"key": key, "values": values} for key in keys for values in _classes(key, rows)]
 
 
 def _classes(key: str, rows: Sequence[Row]) -> list[list[str]]:
-    """Values of one setting that made no difference, two or more together."""
+    """Return groups of two or more values of one setting that made no difference."""
     outcomes: dict[str, dict[Any, tuple[Any, ...]]] = {}
     for row in rows:
         settings = dict(row.case.settings)
@@ -37,14 +37,14 @@ def _classes(key: str, rows: Sequence[Row]) -> list[list[str]]:
 
 
 def _outcome(row: Row) -> tuple[str, tuple[tuple[str, float], ...]]:
-    """Verdict and measured values of a run."""
+    """Return verdict and measured values of a run."""
     measured = ((n, m["value"]) for n, m in row.measurements.items() if m["value"] is not None)
     return row.verdict, tuple(measured)
 
 
 def in_a_sentence(found: Mapping[str, Any]) -> str:
-    """`gain: 1, 2 gave the same values in every run`, and what that means."""
+    """Return a sentence: `gain: 1, 2 gave the same values in every run`, and what that means."""
     return (
         f"{found['key']}: {', '.join(found['values'])} gave the same values in every run, to the last bit; "
-        "perhaps the runs never came to where it makes a difference"
+        "perhaps no run reached a situation in which it matters"
     )

@@ -17,10 +17,10 @@ from hil.support.file_reading import put_dotted
 
 
 def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> WorkerFiles:
-    """Everything that the cases read from files here, packed for workers that do not see them.
+    """Pack all local files that the cases read, for workers without access to them.
 
     Raises:
-        ConfigError: a file that cannot be read, or more than workers are sent.
+        ConfigError: a file cannot be read, or the files exceed the size limit.
     """
     named = _named(setup, cases)
     beside = {text: modules_beside(path) for text, path in _script(setup).items()}
@@ -37,10 +37,10 @@ def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> WorkerFile
 
 
 def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[str, str]:
-    """Absolute path of every file or folder that the cases read -> digest of what it holds.
+    """Return absolute path -> digest of the content, for every file or folder that the cases read.
 
     Raises:
-        ConfigError: a file that cannot be read.
+        ConfigError: a file cannot be read.
     """
     read, bench = list(_named(setup, cases).values()), Path(setup.bench or proc.bench)
     read += [path for script in _script(setup).values() for path in modules_beside(script)]
@@ -51,7 +51,7 @@ def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[st
 
 
 def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
-    """Texts of the command line that name a file or folder -> where it lies; without the bench file."""
+    """Return command line text that names a file or folder -> its path; without the bench file."""
     texts = [setup.calibration, setup.answers, *_script(setup)]
     for case in {case.settings: case for case in cases}.values():
         _, overrides = setup.split(case)
@@ -62,6 +62,6 @@ def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
 
 
 def _script(setup: Setup) -> dict[str, Path]:
-    """The procedure's own file by the text that names it; nothing for a shipped one."""
+    """Return command line text -> path of the procedure's own file; empty for a shipped procedure."""
     script = file_and_name(setup.script)[0]
     return {script: Path(script).absolute()} if Path(script).is_file() else {}

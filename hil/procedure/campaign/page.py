@@ -1,4 +1,4 @@
-"""The page of a campaign: shares of good runs, a figure per measurement, every case."""
+"""The HTML page of a campaign: shares of good runs, a figure per measurement, every case."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _NAMED = 3
 
 
 def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]) -> Path:
-    """Write the page.
+    """Write the page and return its path.
 
     Args:
-        path: of the HTML file.
-        tree: as in `campaign.json`.
+        path: the HTML file.
+        tree: content of `campaign.json`.
         rows: all cases.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: the file cannot be written.
     """
     names = dict.fromkeys(n for row in rows for n in row.measurements)
     commands = {row["case"]: row["command"] for row in tree["rows"]}
@@ -63,15 +63,15 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
 
 
 def _sentence(rows: Sequence[Row]) -> str:
-    """How many runs were good, why others tested nothing, and what limits were missed most often."""
+    """Return a summary: how many runs were good, why runs tested nothing, the limits missed most often."""
     tested, good = sum(row.tested for row in rows), sum(row.good for row in rows)
     if tested == len(rows):
-        said = f"{good} of {tested} runs kept their limits."
+        text = f"{good} of {tested} runs kept their limits."
     else:
         faults = count(spec for row in rows for spec in row.faults_not_begun)
         why = not_tested(faults, sum(row.lost for row in rows))
         kept = f"{good} of the other {tested} kept their limits" if tested else "there are no others"
-        said = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({why}); {kept}."
+        text = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({why}); {kept}."
     failed = [
         (n, m) for row in rows if row.tested for n, m in row.measurements.items() if m["outcome"] == "FAIL"
     ]
@@ -81,31 +81,31 @@ def _sentence(rows: Sequence[Row]) -> str:
         ("Never measured", NEVER_SET),
     ):
         if missed := Counter(name for name, m in failed if m["missing"] == why):
-            said += f" {words}: {_most(missed)}."
+            text += f" {words}: {_most(missed)}."
     ended = sum(bool(row.error) and not row.lost for row in rows)
-    return said + (f" {ended} ended early." if ended else "")
+    return text + (f" {ended} ended early." if ended else "")
 
 
 def _most(missed: Counter[str]) -> str:
-    """Measurements with the number of their runs, those of most runs first."""
+    """Return measurements with their number of runs, the most frequent first."""
     more = f", and {len(missed) - _NAMED} more" if len(missed) > _NAMED else ""
     return ", ".join(f"{name} in {n}" for name, n in missed.most_common(_NAMED)) + more
 
 
 def _report(row: Row) -> str:
-    """Where the report of a run is, from the campaign's folder; empty where there is none."""
+    """Return the path of a run's report relative to the campaign's folder; empty without a report."""
     folder = Path(row.folder)
     return f"{RUNS}/{quote(folder.name)}/{REPORT}" if (folder / REPORT).exists() else ""
 
 
 def _values(name: str, rows: Sequence[Row]) -> list[float]:
-    """Finite values of the runs that tested what they were to."""
+    """Return the finite values of the runs that have a result and whose faults have all acted."""
     found = (row.measurements.get(name) for row in rows if row.tested)
     return [m["value"] for m in found if m and m["value"] is not None]
 
 
 def _figure(name: str, rows: Sequence[Row]) -> Markup:
-    """One column of dots per combination, its median, and the limits."""
+    """Draw one column of dots per combination of settings, its median, and the limits."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row.case.group, []).append(row)

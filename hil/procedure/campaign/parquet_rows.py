@@ -1,7 +1,7 @@
-"""The runs of a campaign as Parquet while it is under way: one small file per run, together one table.
+"""Writes the runs of a campaign as Parquet while it runs: one small file per run, together one table.
 
-`pandas.read_parquet(folder)`, `polars.read_parquet(folder + "/*.parquet")` and Dask read all of them. One
-line per measurement, so that the columns are the same whatever a procedure measures.
+`pandas.read_parquet(folder)`, `polars.read_parquet(folder + "/*.parquet")` and Dask read all these files.
+There is one row per measurement, so that the columns are the same for every procedure.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ _NONE = {
 
 
 def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
-    """Write the lines of one run, over those that there may be; nothing without a working extra `parquet`.
+    """Write the rows of one run; do nothing without a working extra `parquet`.
 
-    Not `over` those that are whole: a run that was finished earlier may have none, or torn ones.
+    An existing file is overwritten. If not `over`, only a missing or truncated file is written: a run that
+    was finished earlier may have either.
 
     Columns: case, seed, settings (map of text to text), verdict, faults_not_begun (list of text: those that
     never acted), exit_code, duration_s (s), error, measurement, unit, value (in `unit`), outcome, low, high,
     missing (why there is no value).
 
     Raises:
-        DataError: they cannot be written.
+        DataError: the file cannot be written.
     """
     path = folder / f"{row.case.name}.parquet"
     if not is_installed("parquet") or not (over or _is_torn(path)):
@@ -88,7 +89,7 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
 
 
 def _is_torn(path: Path) -> bool:
-    """Whether it is missing, or does not end as every Parquet file does."""
+    """Whether a Parquet file is missing or does not end with the Parquet end marker."""
     try:
         return not path.read_bytes().endswith(_END)
     except OSError:

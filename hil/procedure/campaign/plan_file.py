@@ -1,4 +1,4 @@
-"""The plan of a campaign: refused where it is impossible, and kept in its folder.
+"""Checks the plan of a campaign before it starts, and keeps it in the campaign's folder.
 
 Resuming needs the same plan, files and versions.
 """
@@ -32,10 +32,10 @@ _NOT_COMPARED = ("answers", "keep", "places")
 
 
 def keep_plan(out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], *, resume: bool) -> None:
-    """Write the plan of a new campaign, or hold it against that of the one to go on with.
+    """Write the plan of a new campaign, or compare it with the plan of the campaign to resume.
 
     Raises:
-        ConfigError: there is a campaign, or none to go on with; other options, or a file that has changed.
+        ConfigError: the folder holds a campaign already, or none to resume; options or a file have changed.
     """
     shared = {key: value for key, value in vars(setup).items() if key not in _NOT_COMPARED}
     plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **shared}))
@@ -57,11 +57,11 @@ def keep_plan(out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], *
 
 @contextmanager
 def alone_in(out: Path, *, resume: bool) -> Iterator[None]:
-    """Keep every other campaign out of a folder, where its file system has locks; a new one's folder is made.
+    """Lock a folder against other campaigns, if its file system has locks; create it for a new campaign.
 
     Raises:
-        UsageError: one is at work there.
-        ConfigError: the folder cannot be made.
+        UsageError: another campaign runs in the folder.
+        ConfigError: the folder cannot be created.
     """
     try:
         if not resume:
@@ -82,7 +82,7 @@ def alone_in(out: Path, *, resume: bool) -> Iterator[None]:
 
 
 def _held_against(path: Path, plan: dict[str, Any], held: dict[str, Any]) -> dict[str, Any]:
-    """Make of the runs and contents of the files of both, once the plan there is this one."""
+    """Compare with the plan at `path`; return versions, cases and file contents merged from both."""
     if not path.exists():
         raise ConfigError(f"{path}: there is no campaign to resume", remedy="without its plan, start anew")
     before = read_json(path)
@@ -122,12 +122,12 @@ def _held_against(path: Path, plan: dict[str, Any], held: dict[str, Any]) -> dic
 
 
 def check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
-    """Refuse before anything runs what no case, or a single one, could do.
+    """Check all cases before anything runs.
 
     Raises:
-        UsageError: a setting that is both given and varied, two values of one that mean the same, a real
-            device.
-        ConfigError: parameters, bench, faults or calibration that cannot be used.
+        UsageError: a setting is both given and varied, two values of a setting mean the same, or a device is
+            real.
+        ConfigError: parameters, bench, faults or calibration of a case cannot be used.
     """
     if setup.answers is not None:
         Answers(Path(setup.answers))
@@ -154,7 +154,7 @@ def _check_given_once(setup: Setup, case: Case) -> None:
 
 
 def _meaning(setup: Setup, proc: Procedure, case: Case) -> str:
-    """What a case would run with: equal for settings that differ only in how they are written."""
+    """Return the settings of a case in normal form: equal if they differ only in notation."""
     source, given = setup.source(proc, case)
     parameters = make_parameters(proc.parameters, given, proc.name)
     proc.check_needs(source.config)

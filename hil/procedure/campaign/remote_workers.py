@@ -1,8 +1,8 @@
-"""Workers of a Dask cluster elsewhere: they must be of one make with this computer, and are sent the files.
+"""Prepares the workers of a remote Dask cluster: checks their versions and sends them the input files.
 
-Who cannot be used is named and leaves the cluster; the files go again when the campaign ends.
+An unusable worker is logged and leaves the cluster. The files are removed when the campaign ends.
 
-Needs the extra `campaign`; imported by those that spread work over a scheduler only.
+Needs the extra `campaign`; imported only when a scheduler is used.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from hil.support.versions import make
 LOG = logging.getLogger(__name__)
 
 REFUSED = "hil-refused"
-"""Topic under which workers that come later tell why they leave again."""
+"""Topic on which a worker that joins later reports why it leaves again."""
 _LEAVE_S = 0.1
 _REMEDY = "install the same packages everywhere, e.g. from requirements/ci.lock"
 
 
 def report_refused(client: Client) -> None:
-    """Say here which workers came later and have left again, and why."""
+    """Log in this process which late workers have left again, and why."""
     client.subscribe_topic(REFUSED, lambda event: LOG.warning("%s; it gets no runs", event[1]))
 
 
 def check_workers(client: Client, scheduler: str) -> None:
-    """Refuse a cluster without workers, or with one of another make.
+    """Reject a cluster without workers, or with a worker that has other versions.
 
     Raises:
-        UsageError: names worker, package and both versions.
+        UsageError: no worker, or a worker differs; names worker, package and both versions.
     """
     if not client.scheduler_info(n_workers=-1)["workers"]:
         raise UsageError(
@@ -48,13 +48,13 @@ def check_workers(client: Client, scheduler: str) -> None:
         )
     _check_scheduler(client, scheduler)
     own = metadata.version(DISTRIBUTION)
-    for worker, there in _asked(client, metadata.version, DISTRIBUTION):
+    for worker, there in _run_on_all(client, metadata.version, DISTRIBUTION):
         if isinstance(there, BaseException):
             raise UsageError(f"worker {worker}: has no {DISTRIBUTION}", remedy=_REMEDY)
         if there != own:
             raise _other(f"worker {worker}", DISTRIBUTION, there, own)
     here = make()
-    for worker, found in _asked(client, make):
+    for worker, found in _run_on_all(client, make):
         if isinstance(found, BaseException):
             raise UsageError(f"worker {worker}: cannot be used ({found})", remedy=_REMEDY)
         if (other := _difference(f"worker {worker}", found, here)) is not None:
@@ -62,12 +62,12 @@ def check_workers(client: Client, scheduler: str) -> None:
 
 
 def _check_scheduler(client: Client, scheduler: str) -> None:
-    """Refuse a scheduler that cannot read what it passes on: it needs this package, too."""
+    """Reject a scheduler without this package: it could not deserialise the messages that it forwards."""
     try:
         there: dict[str, str] = client.run_on_scheduler(make)
     except OSError:
         raise
-    except Exception:  # whatever the missing import of another process becomes on its way back
+    except Exception:  # the remote import error may arrive as any type
         raise UsageError(
             f"Dask scheduler {scheduler!r} has no {DISTRIBUTION}, or another one",
             remedy=f"start it where it is installed: {_REMEDY}",
@@ -76,45 +76,45 @@ def _check_scheduler(client: Client, scheduler: str) -> None:
         raise other
 
 
-def _asked(client: Client, what: Callable[..., Any], *arguments: str) -> list[tuple[str, Any]]:
-    """What every worker answers, or the error that it raises; those that have gone meanwhile are left out."""
+def _run_on_all(client: Client, what: Callable[..., Any], *arguments: str) -> list[tuple[str, Any]]:
+    """Call a function on every worker; return (worker, result or error), without workers that have ended."""
     answers = client.run(what, *arguments, on_error="return")
     return [(worker, found) for worker, found in answers.items() if not isinstance(found, OSError)]
 
 
-def _difference(who: str, there: dict[str, str], here: dict[str, str]) -> UsageError | None:
-    """What refuses a process by the first package of another version; None for one of the same make."""
+def _difference(process: str, there: dict[str, str], here: dict[str, str]) -> UsageError | None:
+    """Return the error for the first package whose version differs; None if all versions agree."""
     differing = (name for name, version in here.items() if there.get(name) != version)
     name = next(differing, None)
-    return None if name is None else _other(who, name, str(there.get(name)), here[name])
+    return None if name is None else _other(process, name, str(there.get(name)), here[name])
 
 
-def _other(who: str, name: str, there: str, here: str) -> UsageError:
+def _other(process: str, name: str, there: str, here: str) -> UsageError:
     return UsageError(
-        f"{who}: has {name} {there}, this computer {here}: results would not repeat", remedy=_REMEDY
+        f"{process}: has {name} {there}, this computer {here}: results would not repeat", remedy=_REMEDY
     )
 
 
 @contextmanager
 def carried(client: Client, parcel: WorkerFiles) -> Iterator[None]:
-    """Have every worker keep the files of a campaign, until it ends in whatever way.
+    """Keep the files of a campaign on every worker until the block ends, also by an error.
 
     Raises:
-        Aborted: no worker has room for them; names each.
+        Aborted: no worker has room for the files; names each worker.
     """
     try:
         client.register_plugin(Luggage(parcel))
         _leave_out_full(client, parcel.name)
         yield
     finally:
-        if client.status == "running":  # a scheduler that has gone would be waited for
-            with suppress(OSError, LookupError, ValueError, asyncio.TimeoutError):  # of workers that leave
+        if client.status == "running":  # else the call would wait for an ended scheduler
+            with suppress(OSError, LookupError, ValueError, asyncio.TimeoutError):  # a worker may be leaving
                 client.unregister_worker_plugin(parcel.name)
 
 
 def _leave_out_full(client: Client, name: str) -> None:
-    """Do without the workers that could not keep the files."""
-    answers = _asked(client, lacking, name)
+    """Retire the workers that could not keep the files."""
+    answers = _run_on_all(client, lacking, name)
     full = {worker: why for worker, why in answers if why}
     if full and len(full) == len(answers):
         raise Aborted(
@@ -126,7 +126,7 @@ def _leave_out_full(client: Client, name: str) -> None:
 
 
 def do_without(client: Client, worker: str, why: str) -> bool:
-    """Name a worker that can do no run, and have it leave; the last one stays, and the answer is False."""
+    """Log and retire a worker that cannot do runs. Return False, and keep it, if it is the last worker."""
     known = client.scheduler_info(n_workers=-1)["workers"]
     if not set(known) - {worker}:
         return False
@@ -137,15 +137,15 @@ def do_without(client: Client, worker: str, why: str) -> bool:
 
 
 class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
-    """Has every worker, also one that comes later, unpack the files of a campaign into its own folder."""
+    """Unpacks the files of a campaign into a folder of every worker, also of a worker that joins later."""
 
     def __init__(self, parcel: WorkerFiles) -> None:
         self.name, self.content, self.make, self.lacking = parcel.name, parcel.content, make(), ""
 
     def setup(self, worker: Worker) -> None:
-        """Unpack; a worker that came later and has other versions reports what differs, and leaves.
+        """Unpack the files. A late worker with other versions reports the difference and leaves.
 
-        `lacking` says afterwards why the files could not be written, and is empty where they were.
+        `lacking` is then the reason if the files could not be written, else empty.
 
         Raises:
             UsageError: the worker has other packages or another Python.
@@ -162,20 +162,20 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
             self.lacking = f"worker {worker.address}: {error}"
 
     def teardown(self, worker: Worker) -> None:
-        """Leave nothing behind."""
+        """Remove the files."""
         shutil.rmtree(Path(worker.local_directory) / self.name, ignore_errors=True)
 
 
 def luggage(name: str) -> Path:
-    """Where the worker that asks keeps the files of a campaign."""
+    """Return the folder in which the calling worker keeps the files of a campaign."""
     return Path(get_worker().local_directory) / name
 
 
 def lacking(name: str, dask_worker: Worker) -> str:
-    """Why a worker could not keep the files of a campaign, with its address; empty where it has them."""
+    """Return why a worker could not keep the files of a campaign, with its address; empty if it could."""
     return str(getattr(dask_worker.plugins.get(name), "lacking", ""))
 
 
 def address() -> str:
-    """Of the worker that asks."""
+    """Return the address of the calling worker."""
     return str(get_worker().address)

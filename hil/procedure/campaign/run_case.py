@@ -1,4 +1,4 @@
-"""The runs of a campaign: what they share, one of them in a worker, its row."""
+"""Runs one case of a campaign, here or on a worker, and makes its row of the table."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
 
 _CASE: ContextVar[str] = ContextVar("case", default="")
-"""Of the thread: a worker may have several, each with a run of its own."""
+"""Case of the current thread: a worker may have several threads, each with its own run."""
 
 
 class _Named(logging.LogRecord):
@@ -49,14 +49,14 @@ class _Named(logging.LogRecord):
         self._case = _CASE.get()
 
     def getMessage(self) -> str:
-        """The text, behind the case that ran in the thread that logged it."""
-        said = super().getMessage()
-        return f"{self._case}: {said}" if self._case else said
+        """Return the message, prefixed with the case of the thread that logged it."""
+        text = super().getMessage()
+        return f"{self._case}: {text}" if self._case else text
 
 
 @contextmanager
 def named_in_log(case: str) -> Iterator[None]:
-    """What is logged meanwhile in this thread names the case."""
+    """Prefix what this thread logs in the block with the name of the case."""
     logging.setLogRecordFactory(_Named)
     before = _CASE.set(case)
     try:
@@ -71,13 +71,13 @@ _FULL = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.E
 
 @dataclass(frozen=True)
 class Setup:
-    """What all cases share; texts as given on the command line.
+    """Settings that all cases share, as text from the command line.
 
     Attributes:
-        controller, ros2_domain: as of `hil run`.
-        keep: `all` of a run, or its `results` without recordings and figures.
-        places: text that names a file -> where the file lies for the worker; texts that are
-            not in it name files by themselves.
+        controller, ros2_domain: as for `hil run`.
+        keep: `all` files of a run, or `results` without recordings and figures.
+        places: text that names a file -> path of the file on the worker; any other text is
+            itself the path.
     """
 
     script: str
@@ -93,7 +93,7 @@ class Setup:
     places: Mapping[str, str] = field(default_factory=dict)
 
     def source(self, proc: Procedure, case: Case) -> tuple[BenchSource, dict[str, str]]:
-        """Bench and parameters of one case."""
+        """Return bench and parameters of one case."""
         parameters, overrides = self.split(case)
         for key in set(path_keys(key.partition(".")[0] for key in overrides)) & set(overrides):
             overrides[key] = self.at(str(overrides[key]))
@@ -112,23 +112,23 @@ class Setup:
         return source, parameters
 
     def at(self, text: str) -> str:
-        """Where a file lies here."""
+        """Return the path of a file in this process."""
         return self.places.get(text, text)
 
     def split(self, case: Case) -> tuple[dict[str, str], dict[str, object]]:
-        """Parameters and bench overrides of one case."""
+        """Return parameters and bench overrides of one case."""
         return split_settings(self.all_settings(case))
 
     def all_settings(self, case: Case) -> tuple[str, ...]:
-        """Settings of one case, as `key=value`."""
+        """Return the settings of one case, as `key=value`."""
         return (*self.settings, *(f"{key}={value}" for key, value in case.settings if key != "fault"))
 
     def all_faults(self, case: Case) -> tuple[str, ...]:
-        """Faults of one case: specs, and files of timelines."""
+        """Return the faults of one case: specs, and files of timelines."""
         return (*self.faults, *(v for key, v in case.settings if key == "fault" and v != "none"))
 
     def command(self, case: Case) -> str:
-        """The line that runs one case again, by itself."""
+        """Return the command line that repeats one case alone."""
         options = [("bench", self.bench), ("emulate", self.emulate), ("calibration", self.calibration)]
         options += [("set", text) for text in self.all_settings(case)]
         options += [("fault", text) for text in self.all_faults(case)]
@@ -144,8 +144,8 @@ class Job:
     """One case with everything that a worker needs to run it.
 
     Attributes:
-        folder: of its results.
-        luggage: name of the parcel in which a worker elsewhere finds the files; empty here.
+        folder: results folder.
+        luggage: name of the parcel with the files on a remote worker; empty for a local worker.
     """
 
     setup: Setup
@@ -156,14 +156,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Delivery:
-    """A run that was done elsewhere: its row, and the packed files of its results folder."""
+    """Result of a remote run: its row, and the packed files of its results folder."""
 
     row: Row
     content: bytes = b""
 
 
 def run_case(job: Job, publish: Callable[[Mapping[str, Any]], Sink] | None = None) -> Row:
-    """One case to its results folder (in a worker); `publish` as of `BenchSource`."""
+    """Run one case in a worker that shares this computer's files; `publish` as for `BenchSource`."""
     try:
         tree = _result(job, publish)
     except HilError as error:
@@ -176,7 +176,7 @@ def run_case(job: Job, publish: Callable[[Mapping[str, Any]], Sink] | None = Non
 
 
 def run_case_elsewhere(job: Job) -> Delivery | Unable:
-    """One case in a worker that shares no files with the campaign; where its disk is full, another has to."""
+    """Run one case in a worker without shared files; return `Unable` if its disk is full."""
     from distributed import Reschedule, get_worker
 
     from hil.procedure.campaign.remote_workers import address, lacking, luggage
@@ -190,7 +190,7 @@ def run_case_elsewhere(job: Job) -> Delivery | Unable:
     if not here.exists():
         if why := lacking(job.luggage, get_worker()):
             return Unable(address(), why)
-        raise Reschedule  # to another worker: this one is of another make, and about to leave
+        raise Reschedule  # to another worker: this one has other versions and is leaving
     try:
         with tempfile.TemporaryDirectory(prefix="run-", dir=here.parent) as folder:
             places = {text: str(here / name) for text, name in job.setup.places.items()}
@@ -213,7 +213,7 @@ def run_case_elsewhere(job: Job) -> Delivery | Unable:
 
 
 def _forget_modules(folder: Path) -> None:
-    """Let a later campaign in this process import its own modules of the same names."""
+    """Unload modules from a folder, so that a later campaign can import its own modules of the same names."""
     for name, module in tuple(sys.modules.items()):
         if str(getattr(module, "__file__", None) or "").startswith(str(folder)):
             del sys.modules[name]
@@ -221,12 +221,12 @@ def _forget_modules(folder: Path) -> None:
 
 
 def _is_unwritten(error: HilError, folder: str) -> bool:
-    """Whether a run ended because its results could not be written: the computer's fault, not the robot's."""
+    """Whether the error means that results could not be written: the computer's fault, not the robot's."""
     return isinstance(error, RecordingError) or folder in str(error)
 
 
 def _unwritten(tree: Mapping[str, Any], folder: str) -> str:
-    """Why the results of a run could not be written, by its `result.json`; empty where they were."""
+    """Return why results could not be written, from the content of `result.json`; empty if they were."""
     from hil.procedure.result_files import KEEPING
 
     first, late = tree.get("error"), tree.get("teardown_errors", ())
@@ -238,14 +238,14 @@ def _unwritten(tree: Mapping[str, Any], folder: str) -> str:
 
 
 def arrived(delivery: Delivery) -> Row:
-    """The row of a run that was done elsewhere, once its results lie where they belong."""
+    """Unpack the results of a remote run into its results folder; return its row."""
     if delivery.content:
         unpacked(delivery.content, Path(delivery.row.folder))
     return delivery.row
 
 
 def _result(job: Job, publish: Callable[[Mapping[str, Any]], Sink] | None = None) -> dict[str, Any]:
-    """Run one case; gives the tree of its `result.json`."""
+    """Run one case; return the content of its `result.json`."""
     setup, folder = job.setup, Path(job.folder)
     script, name = file_and_name(setup.script)
     proc = load_procedure(":".join(filter(None, (setup.at(script), name))))
@@ -269,7 +269,7 @@ def _result(job: Job, publish: Callable[[Mapping[str, Any]], Sink] | None = None
 
 
 def _begun(folder: Path) -> bool:
-    """Whether a run that can go on to the same end is there; another is put aside, and begins anew."""
+    """Whether a folder holds a run that can be resumed to the same outcome; else rename the folder."""
     if not folder.exists() or not any(folder.iterdir()):
         return False
     try:
@@ -284,7 +284,7 @@ def _begun(folder: Path) -> bool:
 
 
 def finished(job: Job) -> Row | None:
-    """The row of a case that has run to its verdict before; None for one that lacked room, or has not."""
+    """Return the row of a case that reached its verdict earlier; None if it did not, or lacked disk space."""
     try:
         tree = read_result(Path(job.folder))
     except HilError:
@@ -312,5 +312,5 @@ def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:
 
 
 def lost(job: Job, reason: str) -> Row:
-    """The row of a case whose worker did not come back, or had no room for its results."""
+    """Return the row of a case whose worker was lost or had no room for the results."""
     return _failed(job, LOST, reason, EXIT_ABORTED)

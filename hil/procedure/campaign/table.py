@@ -1,4 +1,4 @@
-"""What came out of a campaign: one row per case, statistics per combination, CSV."""
+"""The results of a campaign: one row per case, statistics per combination of settings, CSV."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hil.report.run_summary import was_set
 
 _Z95 = 1.959963984540054
 NOT_FINITE, NEVER_SET, ENDED_BEFORE = "no finite number", "never measured", "ended before"
-"""Why a run has no value of a measurement."""
+"""Reasons why a run has no value for a measurement."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Row:
     Attributes:
         measurements: name -> unit, value, outcome and limits, as the run reported them, and `missing`: why
             there is no value, empty where there is one.
-        error: what went wrong, empty if nothing did.
-        exit_code: as `hil run` would have ended.
-        faults_not_begun: specs of its faults that it ended before: it says nothing about what they do.
+        error: message of the error; empty without one.
+        exit_code: exit code that `hil run` would have had.
+        faults_not_begun: specs of faults that had not begun when the run ended: it does not test them.
     """
 
     case: Case
@@ -45,31 +45,31 @@ class Row:
 
     @property
     def tested(self) -> bool:
-        """Whether it has a result, and all its faults have acted."""
+        """Whether the run has a result and all its faults have acted."""
         return not (self.lost or self.faults_not_begun)
 
     @property
     def lost(self) -> bool:
-        """Whether it left no result: a worker died or had no room, which is no fault of the robot."""
+        """Whether the run left no result: its worker died or had no disk space; not the robot's fault."""
         return self.verdict == LOST
 
     @property
     def good(self) -> bool:
-        """Whether it kept its limits under its faults; those that never acted were not withstood."""
+        """Whether the run kept its limits and all its faults have acted."""
         return self.tested and self.verdict in PASSED
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; the case as name, seed and settings."""
+        """Return a JSON object; the case becomes name, seed and settings."""
         tree = asdict(self)
         tree["case"] = self.case.name
         return {**tree, "seed": self.case.seed, "settings": dict(self.case.settings)}
 
 
 def summarise(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Per combination of settings: verdicts, share of good runs, and statistics of each measurement.
+    """Return, per combination of settings, verdicts, share of good runs, and statistics of each measurement.
 
-    Share and statistics are those of the runs that have a result and in which all faults have acted
-    (`tested`); the share is None where there is none.
+    Share and statistics cover the runs that have a result and in which all faults have acted (`tested`). The
+    share is None without such a run.
     """
     groups: dict[str, list[Row]] = {}
     for row in rows:
@@ -98,7 +98,7 @@ def _summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def missing(row: Mapping[str, Any]) -> str:
-    """Why a measurement of `result.json` has no value; empty where it has one."""
+    """Return why a measurement of `result.json` has no value; empty if it has one."""
     if row["value"] is not None:
         return ""
     if row["outcome"] == "NOT MEASURED":
@@ -107,7 +107,7 @@ def missing(row: Mapping[str, Any]) -> str:
 
 
 def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
-    """Of the finite values; `n` is how many they are, `missing` why the other `of` - n runs have none."""
+    """Return statistics of the `n` finite values; `missing`: why the other `of` - n runs have none."""
     found = [row.measurements[name] for row in rows if name in row.measurements]
     values = np.array([m["value"] for m in found if m["value"] is not None], dtype=np.float64)
     whys = [m["missing"] for m in found if m["missing"]] + [ENDED_BEFORE] * (len(rows) - len(found))
@@ -134,23 +134,23 @@ def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def count(words: Iterable[str]) -> dict[str, int]:
-    """How often each word is among them, verdicts for example."""
+    """Count how often each word occurs, for example each verdict."""
     return dict(sorted(Counter(words).items()))
 
 
 def in_words(counted: Mapping[str, int]) -> str:
-    """Reasons and how often each held: `13 never measured, 2 ended before`."""
+    """Return counted reasons as text: `13 never measured, 2 ended before`."""
     return ", ".join(f"{n} {why}" for why, n in counted.items())
 
 
 def not_tested(faults: Mapping[str, int], lost: int) -> str:
-    """In how many runs each fault has never acted, and how many were lost: `imu:off@5 never acted in 2`."""
+    """Return in how many runs each fault never acted, and how many are lost: `imu:off@5 never acted in 2`."""
     whys = [f"{spec} never acted in {n}" for spec, n in faults.items()]
     return ", ".join(whys + [f"{lost} {LOST}"] * bool(lost))
 
 
 def wilson(good: int, total: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson's score interval): honest for few runs, too."""
+    """Return the 95 % confidence interval of a share (Wilson's score interval): valid also for few runs."""
     if total == 0:
         return 0.0, 1.0
     share, square = good / total, _Z95 * _Z95
@@ -161,10 +161,10 @@ def wilson(good: int, total: int) -> tuple[float, float]:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """One line per case: settings, verdict, faults that never acted, measurements with units in the header.
+    """Write one line per case: settings, verdict, faults that never acted, measurements; header with units.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: the file cannot be written.
     """
     keys = list(dict.fromkeys(k for row in rows for k, _ in row.case.settings))
     units = {n: m["unit"] for row in rows for n, m in row.measurements.items()}

@@ -1,4 +1,4 @@
-"""Files on their way between a campaign and its workers: what runs need, and the results that they leave."""
+"""Packs files for transfer between a campaign and its workers: input files of the runs, and their results."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class WorkerFiles:
 
     Attributes:
         content: packed files.
-        places: text by which the campaign names a file -> its name among the packed ones.
+        places: text by which the campaign names a file -> name of the packed file.
     """
 
     content: bytes
@@ -31,12 +31,12 @@ class WorkerFiles:
 
     @cached_property
     def name(self) -> str:
-        """Of the folder in which a worker keeps it; each campaign takes away its own, and no other's."""
+        """Name of the folder in which a worker keeps the files; each campaign removes only its own folder."""
         return f"hil-{uuid4().hex[:16]}"
 
 
 def names(named: Mapping[str, Path]) -> dict[str, str]:
-    """The same texts -> what each file or folder is called in a parcel."""
+    """Return the same texts -> name of each file or folder in a parcel."""
     return {text: f"{number}/{path.name}" for number, (text, path) in enumerate(named.items())}
 
 
@@ -48,12 +48,12 @@ def parcel(
     """Pack the files of a campaign.
 
     Args:
-        named: text by which the campaign names a file or folder -> where it lies here.
-        written: texts that name a bench file -> what the workers are to read instead of it.
-        beside: texts of `named` -> what is to lie beside them.
+        named: text by which the campaign names a file or folder -> its local path.
+        written: text that names a bench file -> content that the workers read instead of the file.
+        beside: text of `named` -> files to pack beside it.
 
     Raises:
-        ConfigError: a file that cannot be read, or more than workers are sent.
+        ConfigError: a file cannot be read, or the files exceed the size limit.
     """
     places = names(named)
     files = {k: v for text, path in named.items() for k, v in _contents(path, places[text])}
@@ -72,7 +72,7 @@ def parcel(
 
 
 def _contents(path: Path, name: str) -> Iterator[tuple[str, bytes]]:
-    """Name and content of a file with those that a model in it names, or of all files in a folder."""
+    """Yield name and content of a file and of the files that a model names, or of all files in a folder."""
     try:
         if path.is_dir():
             for inner in sorted(p for p in path.rglob("*") if p.is_file()):
@@ -88,7 +88,7 @@ def _contents(path: Path, name: str) -> Iterator[tuple[str, bytes]]:
 
 
 def _of_model(path: Path) -> list[Path]:
-    """Meshes and further files of a MuJoCo model; none for another file."""
+    """Return meshes and further files of a MuJoCo model; none for any other file."""
     if path.suffix != ".xml":
         return []
     import mujoco
@@ -98,10 +98,10 @@ def _of_model(path: Path) -> list[Path]:
 
 
 def digest(path: Path) -> str:
-    """Of the content of a file with those that a model in it names, or of all files in a folder.
+    """Return the digest of a file and of the files that a model names, or of all files in a folder.
 
     Raises:
-        ConfigError: a file that cannot be read.
+        ConfigError: a file cannot be read.
     """
     reported = hashlib.sha256()
     for name, content in _contents(path, path.name):
@@ -110,7 +110,7 @@ def digest(path: Path) -> str:
 
 
 def packed(folder: Path) -> bytes:
-    """All files of a folder; raises `OSError` for one that cannot be read."""
+    """Pack all files of a folder; raises `OSError` if a file cannot be read."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return _packed({p.relative_to(folder).as_posix(): p.read_bytes() for p in files})
 
@@ -124,6 +124,6 @@ def _packed(files: Mapping[str, bytes]) -> bytes:
 
 
 def unpacked(content: bytes, folder: Path) -> None:
-    """Put packed files into a folder, all of them or none; raises `DataError` where that cannot be."""
+    """Unpack files into a folder, all or none; raises `DataError` if this fails."""
     with staged(folder) as parts, zipfile.ZipFile(io.BytesIO(content)) as archive:
         archive.extractall(parts)

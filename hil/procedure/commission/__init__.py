@@ -1,4 +1,4 @@
-"""From a robot as delivered to a verified run on its wall: every procedure uses what the others found."""
+"""Commissioning: procedures from a new robot to a verified run on its wall; each uses the earlier results."""
 
 from hil.procedure.commission.run import Commission, commission
 

@@ -1,7 +1,7 @@
-"""What a procedure that has passed rests on: keys of the bench file, and its parts in the robot's record.
+"""Tracks what a passed procedure depends on: keys of the bench file, and its parts in the robot's record.
 
-A commissioning that is resumed repeats what rests on something that is other than it was: people fix the
-bench file between a failure and the next attempt, and take versions of the record back.
+A resumed commissioning repeats a procedure if one of its dependencies has changed: people edit the bench file
+between a failure and the next attempt, and restore older versions of the record.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _OF_A_SENSOR: Mapping[str, tuple[str, ...]] = {
     "imu": ("bring_up", "imu_calibration", *_WITH_EVERY_SENSOR),
     "tracker": ("bring_up", "tracker_extrinsics", *_WITH_EVERY_SENSOR),
 }
-"""Procedures that rest on a device. All rest on servos, encoders, motion capture, and what is no device."""
+"""Procedures that depend on a device. All depend on servos, encoders, motion capture, and non-device keys."""
 _NOTHING_RESTS_ON = ("monitor", "record")
 _NAMED = 3
 
 
 def as_its_file_says(source: BenchSource) -> BenchConfig:
-    """The configuration of a bench without what the record of the robot lays over it."""
+    """Return the configuration of a bench without the values from the robot's record."""
     return source.changed(overrides={"record.folder": None}).config
 
 
 def parts_in(record: Path) -> Mapping[str, Part]:
-    """The parts of the version in place; none without a record. Raises `ConfigError` where it is damaged."""
+    """Return the parts of the current version; none without a record. Raises `ConfigError` if damaged."""
     robot = RobotRecord(record)
     return robot.read().parts if robot.exists() else {}
 
@@ -43,12 +43,12 @@ def parts_in(record: Path) -> Mapping[str, Part]:
 def rests_on(
     config: BenchConfig, parts: Mapping[str, Part], left: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """What to remember of a procedure that has passed, as JSON values.
+    """Return the dependencies of a passed procedure to store, as JSON values.
 
     Args:
-        config: of the bench, as its file says.
-        parts: that are in the record now.
-        left: `record` of the run's result: which of them it left; None for none.
+        config: configuration of the bench file alone.
+        parts: current parts of the record.
+        left: `record` of the run's result, which names the parts that the run wrote; None for none.
     """
     names = () if left is None else left["parts"]
     return {
@@ -60,13 +60,13 @@ def rests_on(
 def why_again(
     stage: Stage, before: Mapping[str, Any] | None, config: BenchConfig, parts: Mapping[str, Part]
 ) -> str:
-    """Why a procedure that has passed is to be repeated; empty where all that it rests on is as it was.
+    """Return why a passed procedure has to be repeated; empty if none of its dependencies has changed.
 
     Args:
-        stage: that has passed.
-        before: what `rests_on` said then; None where that was not noted.
-        config: of the bench, as its file says now.
-        parts: that are in the record now.
+        stage: the passed procedure.
+        before: result of `rests_on` at that time; None if it was not stored.
+        config: current configuration of the bench file alone.
+        parts: current parts of the record.
     """
     if before is None:
         return "it passed under an older version, which did not note what it rests on"
@@ -96,7 +96,7 @@ def _of_the_bench(stage: Stage, then: Mapping[str, Any], config: BenchConfig) ->
 
 
 def _matters(stage: Stage, key: str) -> bool:
-    """Whether a procedure rests on a key of the bench file; `[emulation.KIND]` is of that device."""
+    """Whether a procedure depends on a key of the bench file; `[emulation.KIND]` counts as that device."""
     table = key.removeprefix("emulation.").split(".")[0]
     kind = kinds().get(table)
     if kind is not None and (kind.holds_robot or kind.guards_hold):

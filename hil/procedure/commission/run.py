@@ -1,7 +1,7 @@
-"""Runs a commissioning: one procedure after the other, each with what the record knows by then.
+"""Runs a commissioning: one procedure after the other, each with the current record of the robot.
 
-A procedure that passes puts its part into the record; the first that does not ends the commissioning with
-what to do. The same code runs in virtual time, at the wire and on the real robot.
+A procedure that passes adds its part to the record. The first procedure that does not pass ends the
+commissioning with a remedy. The same code runs in virtual time, at wire level and on the real robot.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ RECORD = "robot"
 
 @dataclass(frozen=True)
 class Commission:
-    """What to commission and how.
+    """Bench and options of a commissioning.
 
     Attributes:
-        source: bench of the wall. Where it names no record, one is made in `folder`.
-        folder: of the results.
+        source: the wall bench. If it names no record, a record is created in `folder`.
+        folder: results folder.
         clock: for durations.
         now: date and time, ISO 8601.
-        quick: the short form of every procedure.
-        resume: go on with an interrupted one.
-        operator: who answers prompts.
+        quick: run the short form of every procedure.
+        resume: resume an interrupted commissioning.
+        operator: answers prompts.
         report: progress.
         interrupts: signals.
-        order: what is run.
+        order: the stages to run.
     """
 
     source: BenchSource
@@ -68,7 +68,7 @@ class Commission:
     order: tuple[Stage, ...] = STAGES
 
     def options(self) -> dict[str, Any]:
-        """What a resumed one must have alike."""
+        """Return the options that a resumed commissioning must share."""
         source = self.source
         return {
             "bench": str(source.bench),
@@ -82,10 +82,10 @@ class Commission:
 
 
 def commission(asked: Commission) -> tuple[dict[str, Any], int]:
-    """Run all procedures, up to the first that does not pass.
+    """Run all procedures up to the first that does not pass.
 
     Args:
-        asked: what and how.
+        asked: bench and options.
 
     Returns:
         JSON values (`verdict`, `robot`, `procedures`, `wall`, `page`, `stopped`), and the exit code.
@@ -113,14 +113,14 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
 
 
 def _check_all(asked: Commission, source: BenchSource, config: BenchConfig) -> None:
-    """Every bench that will be needed can be configured, before anything moves."""
+    """Check, before anything moves, that every needed bench can be configured."""
     for number, (stage, why) in enumerate(stages(config, asked.order), start=1):
         if not why:
             stage.procedure.check_needs(source.changed(overrides=placed(stage, number, config)).config)
 
 
 def summary(state: State, record: Path, stopped: dict[str, Any] | None) -> dict[str, Any]:
-    """The result as `hil commission --json` prints it; keys may be added, never renamed."""
+    """Return the result that `hil commission --json` prints; keys may be added, never renamed."""
     verdicts = {name: entry["verdict"] for name, entry in state.done.items()}
     order = [v.value for v in Verdict]
     judged = [v for v in verdicts.values() if v in order]
@@ -139,10 +139,10 @@ def summary(state: State, record: Path, stopped: dict[str, Any] | None) -> dict[
 
 
 class _Running:
-    """The stages of one commissioning, one after the other."""
+    """Runs the stages of one commissioning, one after the other."""
 
     def __init__(self, asked: Commission, state: State, config: BenchConfig) -> None:
-        self._asked, self._state, self._config = asked, state, config
+        self._request, self._state, self._config = asked, state, config
         self._record = Path(str(asked.source.overrides["record.folder"]))
         self._as_its_file_says = as_its_file_says(asked.source)
         self._again: dict[str, str] = {}
@@ -154,7 +154,7 @@ class _Running:
         self._before = 0.0
 
     def all(self) -> tuple[int, dict[str, Any] | None]:
-        """Exit code, and where and why it stopped (None at the end)."""
+        """Run all stages; return the exit code, and where and why it stopped (None if it reached the end)."""
         self._forget_what_does_not_hold()
         for number, (stage, why) in enumerate(self._stages, start=1):
             try:
@@ -163,7 +163,7 @@ class _Running:
                 if not (self._ran or isinstance(error, (Aborted, DataError))):
                     raise
                 code = EXIT_ABORTED if isinstance(error, DataError) else error.exit_code
-                return code, stopped_before(stage.name, error, self._asked.folder)
+                return code, stopped_before(stage.name, error, self._request.folder)
             if stopped is not None:
                 return stopped
             if not why:
@@ -172,13 +172,13 @@ class _Running:
         return 0, None
 
     def _forget_what_does_not_hold(self) -> None:
-        """Before anything moves, say what has to be repeated of what has passed."""
+        """Before anything moves, mark and report the passed procedures that have to be repeated."""
         parts = parts_in(self._record)
         for stage, _ in self._stages:
             self._holds(stage, parts)
 
     def _holds(self, stage: Stage, parts: Mapping[str, Part]) -> bool:
-        """Whether a procedure has passed, and all that it rests on is as it was."""
+        """Whether a procedure has passed and none of its dependencies has changed."""
         if not self._state.passed(stage.name):
             return False
         before = self._state.rests_on.get(stage.name)
@@ -189,17 +189,17 @@ class _Running:
         if why:
             self._again[stage.name] = why
             self._state.forget(stage.name)
-            self._asked.report(f"{stage.name} again: {why}", 0, 1)
+            self._request.report(f"{stage.name} again: {why}", 0, 1)
         return not why
 
     def _next(self, stage: Stage, number: int, why: str) -> tuple[int, dict[str, Any]] | None:
-        """Run one procedure unless it has passed; exit code, and where and why it stopped, if it did."""
+        """Run one procedure unless it has passed; if it does not pass, return exit code and reason."""
         if why:
             self._state.keep(stage.name, verdict="SKIPPED", why=why)
         elif not self._holds(stage, parts_in(self._record)):
             result = self._one(stage, number)
             if result.verdict.value not in DONE:
-                return result.exit_code, stopped_at(result, self._asked.folder)
+                return result.exit_code, stopped_at(result, self._request.folder)
         return None
 
     def _one(self, stage: Stage, number: int) -> Result:
@@ -209,7 +209,7 @@ class _Running:
         if stage.name == "bring_up" and result.verdict is Verdict.FAIL:
             signs = found_signs(result.folder, self._config)
             if signs:
-                self._asked.report("bring_up again, with the signs that it found", 0, 1)
+                self._request.report("bring_up again, with the signs that it found", 0, 1)
                 result = self._run(stage, number, signs)
         facts: dict[str, Any] = {"verdict": result.verdict.value, "folder": result.folder.name}
         if "wall" in result.facts["data"]:
@@ -227,14 +227,14 @@ class _Running:
         return result
 
     def _moved_to(self, place: Place) -> None:
-        """Have a person move a real robot to where the next procedures need it."""
-        if self._place != place and self._asked.source.real:
-            with self._asked.interrupts.heeded():
-                go_ahead(self._asked.operator, PROMPTS[place])
+        """Ask the operator to move a real robot to the place that the next procedures need."""
+        if self._place != place and self._request.source.real:
+            with self._request.interrupts.heeded():
+                go_ahead(self._request.operator, PROMPTS[place])
         self._place = place
 
     def _run(self, stage: Stage, number: int, overrides: dict[str, object]) -> Result:
-        asked = self._asked
+        asked = self._request
         overrides = {**placed(stage, number, self._config), **overrides}
         source = asked.source.changed(overrides=overrides).with_its_faults()
         parameters = stage.parameters(asked.quick)
@@ -256,33 +256,33 @@ class _Running:
     def _folder(
         self, stage: Stage, number: int, source: BenchSource, parameters: Mapping[str, Any]
     ) -> tuple[Path, bool]:
-        """Where the stage's results go, and whether an interrupted run of it is there."""
-        base = self._asked.folder / f"{number:02d}_{stage.name}"
+        """Return the results folder of a stage, and whether it holds an interrupted run of this stage."""
+        base = self._request.folder / f"{number:02d}_{stage.name}"
         tries = [base, *(base.with_name(f"{base.name}-{k}") for k in range(2, 100))]
         for path in tries:
             if not (path / JOURNAL).exists() and not (path / RESULT).exists():
                 return path, False
-            if self._asked.resume and _unfinished(path, stage, source, parameters):
+            if self._request.resume and _unfinished(path, stage, source, parameters):
                 return path, True
         raise ConfigError(f"{base}: tried a hundred times", remedy="start anew with another --out")
 
     def _within(self, stage: Stage) -> Report:
-        """Progress of a stage as a part of the whole."""
+        """Return a callback that reports progress of a stage as a share of the whole commissioning."""
 
         def report(what: str, done: int, total: int) -> None:
             if what == WHOLE:
                 self._tell(stage.weight * done / max(total, 1))
             else:
-                self._asked.report(f"{stage.name.replace('_', ' ')}: {what}", done, total)
+                self._request.report(f"{stage.name.replace('_', ' ')}: {what}", done, total)
 
         return report
 
     def _tell(self, within: float) -> None:
-        self._asked.report(WHOLE, round(self._before + within), round(self._total))
+        self._request.report(WHOLE, round(self._before + within), round(self._total))
 
 
 def _unfinished(folder: Path, stage: Stage, source: BenchSource, parameters: Mapping[str, Any]) -> bool:
-    """Whether a run was struck down or aborted in a folder, script and bench as now: else it begins anew."""
+    """Whether a folder holds a killed or aborted run of the same script and bench, which can be resumed."""
     if (folder / RESULT).exists():
         tree = read_json(folder / RESULT)
         if not isinstance(tree, dict) or tree.get("verdict") not in ("ABORTED", "ERROR"):
@@ -296,12 +296,12 @@ def _unfinished(folder: Path, stage: Stage, source: BenchSource, parameters: Map
 
 
 def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
-    """Signs that a failed bring-up found otherwise than configured, as overrides; empty without any."""
+    """Return the signs found by a failed bring-up as overrides; empty if none differs from the bench file."""
     path = folder / FRAGMENT
     if not path.exists():
         return {}
     encoders = config.of(EncodersConfig)
-    believed = {
+    signs = {
         "alignment.drive_sign": config.alignment.drive_sign,
         "alignment.steer_sign": config.alignment.steer_sign,
         **({} if encoders is None else {"encoders.sign": encoders.sign}),
@@ -311,5 +311,5 @@ def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
     except HilError:
         return {}
     found = dict(dotted(tree))
-    other = {key: found[key] for key in believed if key in found and list(found[key]) != list(believed[key])}
+    other = {key: found[key] for key in signs if key in found and list(found[key]) != list(signs[key])}
     return found if other else {}

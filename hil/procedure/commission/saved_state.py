@@ -1,4 +1,4 @@
-"""How far a commissioning is, on disk: written whole after every procedure, so that it can be resumed."""
+"""Saves the state of a commissioning after every procedure, as a whole file, so that it can be resumed."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ DONE = (*PASSED, "SKIPPED")
 
 @dataclass
 class State:
-    """What was commissioned how, and what became of each procedure.
+    """Options of a commissioning and the outcome of each procedure.
 
     Attributes:
-        folder: of the commissioning.
-        options: bench, seed, form and the like; a resumed one must have the same.
-        done: by procedure: `verdict`, `folder` (within this one), `why` of one that was left out or repeated.
-        rests_on: by procedure that has passed, what it rests on (`resting.rests_on`).
+        folder: folder of the commissioning.
+        options: bench, seed, form and others; a resumed commissioning must have the same.
+        done: by procedure: `verdict`, `folder` (relative), and `why` it was left out or repeated.
+        rests_on: by passed procedure: its dependencies (`reruns.rests_on`).
     """
 
     folder: Path
@@ -33,24 +33,24 @@ class State:
     rests_on: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def passed(self, name: str) -> bool:
-        """Whether a procedure was run and has passed; one that was left out may have to run by now."""
+        """Whether a procedure was run and has passed; one that was left out may have to run now."""
         return self.done.get(name, {}).get("verdict") in PASSED
 
     def forget(self, name: str) -> None:
-        """That a procedure has passed: it no longer holds."""
+        """Forget that a procedure has passed, because this no longer holds."""
         self.done.pop(name, None)
         self.rests_on.pop(name, None)
 
     def keep(self, name: str, rests_on: dict[str, Any] | None = None, **facts: Any) -> None:
-        """Note what became of a procedure.
+        """Store the outcome of a procedure.
 
         Args:
-            name: of the procedure.
-            rests_on: what it rests on, if it has passed.
+            name: name of the procedure.
+            rests_on: its dependencies, if it has passed.
             facts: JSON values.
 
         Raises:
-            DataError: the disk does not take it.
+            DataError: the file cannot be written.
         """
         self.forget(name)
         self.done[name] = facts
@@ -65,10 +65,10 @@ class State:
 
 
 def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
-    """A new commissioning, or the interrupted one in a folder.
+    """Return the state of a new commissioning, or of the interrupted one in a folder.
 
     Raises:
-        ConfigError: the folder holds another one; or there is none to resume, or with other options.
+        ConfigError: the folder holds another commissioning; there is none to resume, or its options differ.
     """
     path = folder / COMMISSIONING_TABLE
     if not path.exists():
@@ -99,7 +99,7 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
 
 
 def _whole(rests_on: object) -> dict[str, dict[str, Any]]:
-    """By procedure, what was noted whole; nothing of what an older version left, or what cannot be read."""
+    """Return the complete entries by procedure; drop those of an older version or that cannot be read."""
     if not isinstance(rests_on, dict):
         return {}
     return {

@@ -1,7 +1,7 @@
-"""The order of a commissioning: which procedure when, where the robot stands for it, and on which bench.
+"""The order of a commissioning: its procedures, the place of the robot and the bench for each.
 
-Each builds on those before it: signs before zeros, zeros before wheels, wheels before slip. The floor comes
-first, because circles are possible there and nothing creeps.
+Each procedure builds on the earlier ones: signs before zeros, zeros before wheels, wheels before slip. The
+floor comes first, because circles are possible there and the robot does not creep.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Stage:
     """One procedure of a commissioning.
 
     Attributes:
-        name: of the procedure.
-        place: where the robot stands for it.
-        weight: about how long it takes, in seconds of computing of the quick form; for the time left.
-        full: parameters that the long form changes.
+        name: name of the procedure.
+        place: where the robot stands.
+        weight: approximate computing time of the quick form, s; to estimate the time left.
+        full: parameters that differ in the long form.
     """
 
     name: str
@@ -48,15 +48,15 @@ class Stage:
 
     @property
     def procedure(self) -> Procedure:
-        """Its declaration."""
+        """The declaration of the procedure."""
         return load_procedure(self.name)
 
     def parameters(self, quick: bool) -> dict[str, Any]:
-        """Parameters of the form asked for."""
+        """Return the parameters of the quick or the long form."""
         return dict(self.procedure.quick if quick else self.full)
 
     def lacking(self, config: BenchConfig) -> str:
-        """Why it has to be left out on a bench; empty where it can run."""
+        """Return why the stage has to be left out on a bench; empty if it can run."""
         missing = [n for n in self.procedure.needs if n not in config.devices()]
         if missing:
             return f"the bench has no {', '.join(missing)}"
@@ -80,12 +80,12 @@ STAGES = (
 
 
 def stages(config: BenchConfig, order: Sequence[Stage]) -> Iterator[tuple[Stage, str]]:
-    """Every stage, and why it is left out on this bench (empty where it is not).
+    """Yield every stage, and why it is left out on this bench (empty if it runs).
 
-    A bench on a floor has no wall; its robot is verified by odometry alone.
+    A floor bench has no wall; its robot is verified by odometry alone.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
         order: all stages.
     """
     for stage in order:
@@ -96,19 +96,19 @@ def stages(config: BenchConfig, order: Sequence[Stage]) -> Iterator[tuple[Stage,
 
 
 def off_the_wall(config: BenchConfig) -> dict[str, object]:
-    """Overrides of a wall's bench for a robot on floor or stand: neither fan nor propellers run there."""
+    """Return overrides of a wall bench for a robot on floor or stand: neither fan nor propellers run."""
     if not config.environment.on_wall:
         return {}
     return _FLOOR | {name: None for name, kind in kinds().items() if kind.holds_robot or kind.guards_hold}
 
 
 def placed(stage: Stage, number: int, config: BenchConfig) -> dict[str, object]:
-    """Bench overrides of a stage: its place, and for an emulated camera a session of its own.
+    """Return bench overrides of a stage: its place, and a separate session for an emulated camera.
 
     Args:
-        stage: that is to run.
-        number: of the stage.
-        config: of the wall bench.
+        stage: stage to run.
+        number: number of the stage.
+        config: configuration of the wall bench.
     """
     overrides: dict[str, object] = {}
     if stage.place == "floor":

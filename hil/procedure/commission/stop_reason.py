@@ -1,4 +1,4 @@
-"""Where a commissioning stopped, why, and what to do: a procedure that failed, a person, a full disk."""
+"""Describes where and why a commissioning stopped, and the remedy: failed procedure, operator, full disk."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hil.report.run_page import write_run_page
 
 
 def stopped_at(result: Result, folder: Path) -> dict[str, Any]:
-    """What `hil commission --json` says of a procedure that did not pass.
+    """Return the entry of `hil commission --json` for a procedure that did not pass.
 
     Args:
-        result: of its run.
-        folder: of the commissioning.
+        result: result of its run.
+        folder: folder of the commissioning.
     """
     page = page_of(result)
     first = f"look at {page} and fix what it names; then "
@@ -38,7 +38,7 @@ def stopped_at(result: Result, folder: Path) -> dict[str, Any]:
 
 
 def stopped_before(name: str, error: HilError, folder: Path) -> dict[str, Any]:
-    """The same where a person, a signal or the disk ended it and no procedure was running."""
+    """Return the same entry if a person, a signal or the disk ended the commissioning between procedures."""
     first = f"{error.remedy}; then " if error.remedy else ""
     return {
         "procedure": name,
@@ -51,7 +51,7 @@ def stopped_before(name: str, error: HilError, folder: Path) -> dict[str, Any]:
 
 
 def go_on(folder: Path) -> str:
-    """How a commissioning goes on."""
+    """Return how to continue a commissioning."""
     if not (folder / COMMISSIONING_TABLE).is_file():
         kept = folder / COMMISSIONING_TABLE
         return f"start anew with another --out: {kept} is not there, so that it cannot be resumed"
@@ -62,7 +62,7 @@ def go_on(folder: Path) -> str:
 
 
 def page_of(result: Result) -> str | None:
-    """Path of the page of a run, written now; None where the disk does not take it."""
+    """Write the page of a run; return its path, or None if it cannot be written."""
     if any(error.step == KEEPING for error in result.teardown_errors):
         return None
     try:
@@ -72,7 +72,7 @@ def page_of(result: Result) -> str | None:
 
 
 def missed(measurements: Sequence[Mapping[str, Any]]) -> str:
-    """What failed, in words: what lies beyond its limits, then what was not measured because of it."""
+    """Return failed measurements as text: first values beyond their limits, then unmeasured ones."""
     failed = [row for row in measurements if row["outcome"] == "FAIL"]
     beyond, absent = (
         [str(r["name"]) for r in failed if (r["value"] is None) == gone] for gone in (False, True)

@@ -1,8 +1,8 @@
-"""The fault campaign: every fault of every emulated device at several moments of a short climb, judged.
+"""The fault campaign: tests every fault of every emulated device at several moments of a short climb.
 
-A cell is one device, one fault, one moment, one seed and one physics; its verdict says whether the robot was
-held within the bounds of its class of faults, whether what was struck is accused, whether the robot recovered
-where it should, and whether the recording can be read.
+A cell is one device, one fault, one moment, one seed and one physics model. Its verdict states whether the
+robot was held within the bounds of the fault class, whether the faulty device was named as suspect, whether
+the robot recovered where it should, and whether the recording can be read.
 """
 
 from hil.procedure.faults.cases import (

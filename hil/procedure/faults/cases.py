@@ -1,4 +1,4 @@
-"""The cells of a fault campaign: what strikes, when, in which world."""
+"""The cells of a fault campaign: which fault, when, and in which emulated world."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import numpy as np
 from hil.core.errors import UsageError, did_you_mean
 
 DURATION_S = 2.4
-"""Of the climb."""
+"""Duration of the climb, s."""
 BEGUN_S = 0.45
-"""World time at which the devices of a shipped profile are open."""
+"""World time at which the devices of a shipped profile are open, s."""
 MOMENTS: Mapping[str, str] = {
     "open": "@0.05",
     "motion": "@1.3",
     "stop": f"@{BEGUN_S + DURATION_S:g}",
     "second": "@1.3+1",
 }
-"""When each begins, and, for one second, how long it lasts."""
+"""Start time of the fault at each moment; for one second, also its duration."""
 PLANTS = ("own", "mujoco")
 QUICK = (
     ("servos", "brownout", "second"),
@@ -30,9 +30,9 @@ QUICK = (
     ("plant", "adhesion_loss", "motion"),
     ("adhesion", "bus_off", "open"),
 )
-"""One of each way in which a robot was once let go, or led astray."""
+"""One cell for each known way to lose the hold of a robot or to mislead its estimate."""
 _OF_EIGHT = re.compile(r"servo\.(?:\d+|drive_[^F].|steer_[^F].|\w+_FR)|encoder\.(?:BL|BR|FR)")
-"""Names of single devices that stand for the same thing as another one does."""
+"""Devices that are represented by another device of the same kind."""
 _MOST_FAULTS = 4
 
 
@@ -41,11 +41,11 @@ class Cell:
     """One run.
 
     Attributes:
-        device, fault: what strikes; of several, joined by `+`.
-        moment: of `MOMENTS`, or `random`.
-        seed: of the emulated world.
-        plant: which physics.
-        specs: as `hil run --fault` takes them.
+        device, fault: faulty device and kind of fault; several are joined by `+`.
+        moment: key of `MOMENTS`, or `random`.
+        seed: seed of the emulated world.
+        plant: physics model.
+        specs: fault specs in the format of `hil run --fault`.
     """
 
     device: str
@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """As progress and failures name it."""
+        """Name of the cell in progress reports and failures."""
         return f"{self.device}:{self.fault} {self.moment} seed {self.seed} {self.plant}"
 
 
@@ -66,7 +66,7 @@ def _cell(device: str, fault: str, moment: str, seed: int, plant: str) -> Cell:
 
 
 def stands_for_itself(device: str) -> bool:
-    """Whether a device, by its fault name, is none of those for which another servo or encoder stands."""
+    """Whether a device, by its fault name, is not represented by another servo or encoder."""
     return not _OF_EIGHT.fullmatch(device)
 
 
@@ -78,19 +78,20 @@ def cells_of(
     moments: Sequence[str] = tuple(MOMENTS),
     only: Sequence[str] = (),
 ) -> tuple[Cell, ...]:
-    """Every fault of every device, at every moment, in every world.
+    """Return a cell for every fault of every device, at every moment, in every world.
 
-    Of eight servos and four encoders one of each kind stands for the others, unless `only` names another.
+    One servo and one encoder of each kind represent the eight servos and four encoders, unless `only` names
+    another one.
 
     Args:
         supported: kinds of faults by device.
-        seeds: of the worlds.
-        plants: physics.
-        moments: of `MOMENTS`.
-        only: `DEVICE`, `DEVICE:FAULT` or `DEVICE:FAULT@MOMENT`, to restrict it to.
+        seeds: seeds of the worlds.
+        plants: physics models.
+        moments: keys of `MOMENTS`.
+        only: restrict to these cells: `DEVICE`, `DEVICE:FAULT` or `DEVICE:FAULT@MOMENT`.
 
     Raises:
-        UsageError: `only` names what there is not.
+        UsageError: `only` names a cell that does not exist.
     """
     pairs = [(device, fault) for device, faults in supported.items() for fault in faults]
     wanted = (
@@ -125,20 +126,20 @@ def _wanted(
 
 
 def quick_cells(seeds: Sequence[int], plants: Sequence[str]) -> tuple[Cell, ...]:
-    """The short form: a handful of cells in each world."""
+    """Return the cells of the short form: a few in each world."""
     return tuple(_cell(*given, seed, plant) for plant, seed, given in itertools.product(plants, seeds, QUICK))
 
 
 def random_cells(
     supported: Mapping[str, Iterable[str]], *, count: int, seeds: Sequence[int], plants: Sequence[str]
 ) -> tuple[Cell, ...]:
-    """Runs with one to four faults at random moments, the same for the same arguments.
+    """Return cells with one to four faults at random moments, reproducible from the arguments.
 
     Args:
         supported: kinds of faults by device.
         count: how many runs.
-        seeds: of the worlds, in turn; the first also decides the draw.
-        plants: physics, in turn.
+        seeds: seeds of the worlds, used in turn; the first also seeds the random choice.
+        plants: physics models, used in turn.
     """
     rng = np.random.default_rng([count, *seeds])
     pairs = [(d, f) for d, faults in supported.items() for f in faults if not re.fullmatch(r"servo\.\d+", d)]

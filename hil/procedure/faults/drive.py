@@ -1,4 +1,4 @@
-"""Drives one cell: a short climb with a fault in it, and what was seen of it."""
+"""Drives one cell: a short climb with a fault; collects observations for the verdict."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 _LOOK_NS = nanoseconds(0.02)
 START, WAY_M, HOLD_S = np.zeros(3), 0.12, 0.3
-"""Control at the end."""
+"""Start pose, length of the climb and duration of the hold at its end."""
 _LOOKS = 10
-"""At a robot that the bench has left."""
+"""Number of position samples after the bench has closed."""
 
 
 def run_cell(cell: Cell, bench: str = "emulated") -> CellVerdict:
-    """One cell on a bench that is emulated as a whole."""
+    """Run one cell on a fully emulated bench; return its verdict."""
     with tempfile.TemporaryDirectory(prefix="hil-faults-") as folder:
         path = Path(folder) / "run.mcap"
         seen = _drive(cell, bench, path)
@@ -53,7 +53,7 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
             seen.stopped_s = bench.clock.now_ns() / NS_PER_S
     except HilError as error:
         seen.error = ended_by(error)
-    except Exception as error:  # what no device may raise is what the campaign looks for
+    except Exception as error:  # the campaign looks for errors that no device may raise
         seen.foreign = f"{type(error).__name__}: {error}"
     seen.held, seen.looked_s = bench.held if bench.held.opened else None, bench.clock.now_ns() / NS_PER_S
     seen.moved_m = float(np.hypot(*(_place(bench) - stopped)))
@@ -63,7 +63,7 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
 
 
 def _place(bench: Bench) -> Array:
-    """Where the robot truly is, (2,) in m; a bench that did not open leaves it hanging there all the same."""
+    """Return the true position of the robot, (2,) in m; also for a bench that did not open."""
     truth = bench.truth()
     assert truth is not None
     place: Array = truth.pose_body_in_wall[:2].copy()
@@ -71,7 +71,7 @@ def _place(bench: Bench) -> Array:
 
 
 def _follow(bench: Bench, seen: Seen) -> Callable[[], None]:
-    """Keep the least force that truly holds the robot from now on; gives what ends that."""
+    """Track the least true holding forces from now on; return a function that ends this."""
 
     def look(t_ns: int) -> int:
         truth = bench.truth()
@@ -85,7 +85,7 @@ def _follow(bench: Bench, seen: Seen) -> Callable[[], None]:
 
 
 def _climb(bench: Bench, seen: Seen) -> None:
-    """Drive up; whatever ends it, the robot has been asked to stop."""
+    """Drive up; a `HilError` that ends the drive is stored, the robot is then stopping."""
 
     def look(record: CycleRecord) -> None:
         seen.cycles += 1
@@ -103,7 +103,7 @@ def _climb(bench: Bench, seen: Seen) -> None:
 
 
 def _watch(bench: Bench, seen: Seen) -> None:
-    """What the robot truly does once the bench has closed."""
+    """Measure how far the robot truly moves after the bench has closed."""
     clock, left = bench.clock, _place(bench)
     for _ in range(_LOOKS):
         clock.sleep_until_ns(clock.now_ns() + nanoseconds(WATCHED_S / _LOOKS))
@@ -111,7 +111,7 @@ def _watch(bench: Bench, seen: Seen) -> None:
 
 
 def _unreadable(path: Path) -> str:
-    """Why a recording cannot be read; empty where it can."""
+    """Return why a recording cannot be read; empty if it can."""
     try:
         problems: list[str] = []
         count = sum(1 for _ in read_cycles(path, problems))

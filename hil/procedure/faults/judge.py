@@ -1,7 +1,7 @@
-"""What is right of one cell, and what is not: held, accused, recovered, recorded, honest.
+"""Judges one cell: robot held, suspect named, recovery, recording, error of the estimate.
 
-Judged by data: which kinds of devices a stop or an event accuses, and what the robot truly did. What is said
-in words is shown and not read.
+The verdict uses data: the kinds of devices that a stop or an event names as suspects, and the true motion of
+the robot. Message texts are shown but not evaluated.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from hil.procedure.faults.observation import Ended, Seen
 
 @dataclass(frozen=True)
 class Measured:
-    """Figures of a cell for the page, ways in m.
+    """Measured values of a cell for the page; distances in m.
 
     Attributes:
-        moved_m: after the stop, until the bench said how the robot is.
-        most_m: that it may have moved.
-        crept_m: from then on.
-        off_m: error of the estimate of a run that came to its end.
+        moved_m: motion after the stop, until the bench reported how the robot is held.
+        most_m: upper limit of this motion.
+        crept_m: motion from then on.
+        off_m: error of the estimate, if the run reached its end.
         fell: whether the robot fell.
     """
 
@@ -47,16 +47,16 @@ class Measured:
 
 @dataclass(frozen=True)
 class CellVerdict:
-    """Of one cell.
+    """Verdict of one cell.
 
     Attributes:
-        cell: which.
-        why: what is wrong; empty for a cell that passes.
+        cell: the cell.
+        why: reasons for failure; empty for a cell that passes.
         ended: `went on`, or the reason of the stop.
-        reported: whether stop or events name the device; of several all of them.
-        held: what the bench said of the robot at last.
-        others: kinds of devices that are accused without one that was struck.
-        measured: what was measured.
+        reported: whether stop or events name the faulty device; of several, all of them.
+        held: final report of the bench on how the robot is held.
+        others: kinds of devices that were named as suspects without a faulty one among them.
+        measured: measured values.
         opened: whether the bench opened.
     """
 
@@ -71,12 +71,12 @@ class CellVerdict:
 
 
 def lost(cell: Cell, reason: str) -> CellVerdict:
-    """Of a cell whose worker died."""
+    """Return the verdict of a cell whose worker died."""
     return CellVerdict(cell, (reason,), "lost", False, "")
 
 
 def judge(cell: Cell, seen: Seen) -> CellVerdict:
-    """The verdict on what was seen of a cell."""
+    """Return the verdict of a cell from its observations."""
     by = struck(cell)
     evidence = [_kinds(names) for names in (*seen.events, *(e.suspects for e in _ends(seen)))]
     others = {name for one in evidence if not one & by for name in one}
@@ -101,38 +101,38 @@ def judge(cell: Cell, seen: Seen) -> CellVerdict:
 
 
 def _ends(seen: Seen) -> list[Ended]:
-    """What ended the drive, and what opening and closing raised."""
+    """Return what ended the drive, and the error of opening or closing."""
     return [end for end in (seen.stop, seen.error) if end is not None]
 
 
 def _kinds(names: tuple[str, ...]) -> frozenset[str]:
-    """Kinds of devices by their names; other names give nothing."""
+    """Return the kinds of the named devices; `supervisor` and `outside` are left out."""
     return frozenset(kind_of(name).name for name in names if name not in ("supervisor", "outside"))
 
 
 def _wrong(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
-    """Everything that is not as promised."""
+    """Yield every violated promise as text."""
     if seen.foreign:
         yield f"an exception of another kind: {seen.foreign}"
     if seen.unreadable:
         yield f"the recording: {seen.unreadable}"
     for end in _ends(seen):
         if not _kinds(end.suspects) & struck(cell):
-            accused = ", ".join(sorted(_kinds(end.suspects))) or "no device"
-            yield f"{end.reason} accuses {accused} and not what was struck: {end.text}"
+            suspects = ", ".join(sorted(_kinds(end.suspects))) or "no device"
+            yield f"{end.reason} names {suspects} and not the faulty device: {end.text}"
     yield from _wrong_of_hold(cell, seen, measured)
     yield from _wrong_of_estimate(cell, seen)
 
 
 def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
-    """What is not as promised of how the robot was held."""
+    """Yield every violated promise about the hold of the robot."""
     gone, moved_mm, crept_mm = _gone(cell, seen), 1e3 * seen.moved_m, 1e3 * seen.crept_m
     if seen.fallen and not gone:
-        yield "the robot fell, and what was struck had not let it go"
+        yield "the robot fell, and the faulty device had not let it go"
     if seen.state == "HELD" and (seen.fallen or not seen.crept_m <= still_m(cell)):
         yield f"said to be held, and moved by {crept_mm:.1f} mm{', and it fell' if seen.fallen else ''}"
     if seen.cycles and seen.state not in ("HELD", "not needed") and not (gone or need_not_be_held(cell)):
-        yield f"not held: {seen.held.why if seen.held is not None else 'nothing was said'}"
+        yield f"not held: {seen.held.why if seen.held is not None else 'no report'}"
     if not gone and not seen.moved_m <= measured.most_m:
         yield f"moved by {moved_mm:.1f} mm after the stop, more than {1e3 * measured.most_m:.1f} mm"
     if not seen.cycles and not gone and not seen.crept_m <= measured.most_m:
@@ -140,16 +140,16 @@ def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
 
 
 def _wrong_of_estimate(cell: Cell, seen: Seen) -> Iterator[str]:
-    """What is not as promised of the estimate of a run that came to its end."""
+    """Yield a violated promise about the estimate, if the run reached its end."""
     if not seen.cycles or _ends(seen) or (seen.state != "HELD" and _gone(cell, seen)):
         return
     off_m, sigma_m = float(np.hypot(*seen.off_m)), float(np.hypot(*seen.sigma_m))
     if not (np.all(seen.off_m <= SIGMAS * seen.sigma_m + SLACK_M) and off_m <= MOST_OFF_M):
         yield (
-            f"went on to its end {1e3 * off_m:.0f} mm beside its estimate, which says {1e3 * sigma_m:.0f} mm"
+            f"reached its end {1e3 * off_m:.0f} mm from its estimate, whose sigma is {1e3 * sigma_m:.0f} mm"
         )
 
 
 def _gone(cell: Cell, seen: Seen) -> bool:
-    """Whether what was struck truly let the robot go."""
+    """Whether the faulty device truly let the robot go."""
     return let_go(cell, seen.adhesion_n, seen.thrust_n)

@@ -1,4 +1,4 @@
-"""What a fault campaign leaves: its matrix (devices and faults down, moments across), its page and JSON."""
+"""Results of a fault campaign: matrix (devices and faults in rows, moments in columns), page and JSON."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ opens, in motion, where it ends, and for one second in motion. These are the cel
 {command}
 ```
 
-A cell passes when a stop accuses the kind of device that was struck, when the robot moves no farther than
-is promised for its class of faults, when what is said to be held moves by less than {still_mm:g} mm in the
-{watched_s:g} s after the bench has closed, when servos that come back are held again, when the recording can
-be read, and when a run that ends well is wrong by less than {sigmas:g} of its sigmas plus {slack_mm:g} mm,
-and by less than {most_mm:g} mm. A bench that does not open is watched like any other. How it ended: `on` the
-run went on, `stop` the robot was stopped, `none` the bench did not open. A star: nothing accuses the device,
-the run went on as if nothing had been; the last table says why. Of eight servos and four encoders one of each
-kind stands for the others.
+A cell passes if a stop names the kind of the faulty device, the robot moves no farther than is promised for
+its class of faults, a robot that was reported HELD moves by less than {still_mm:g} mm in the {watched_s:g} s
+after the bench has closed, servos that come back are held again, the recording can be read, and a run that
+reaches its end has an estimate wrong by less than {sigmas:g} of its sigmas plus {slack_mm:g} mm, and by less
+than {most_mm:g} mm. A bench that does not open is observed like any other. How it ended: `on` the run went
+on, `stop` the robot was stopped, `none` the bench did not open. A star: no stop or event names the device,
+and the run went on unchanged; the last table gives the reason. Of eight servos and four encoders one of each
+kind represents the others.
 
-What the bench does not protect from: a fan whose power ends or whose controller restarts, propellers that
-lose power or do not understand their commands, a wall that gives way, a computer that dies while servos
-restart, and errors that look like an honest robot, such as a camera that drifts down the wall by 3 mm/s
-([wall.md](wall.md#what-stops-the-robot)). Independent fall protection stays the lab's.
+What the bench does not protect from: a fan that loses power or whose controller restarts, propellers that
+lose power or cannot decode their commands, a wall that gives way, a computer that dies while servos
+restart, and errors that look like normal motion, such as a camera that drifts down the wall by 3 mm/s
+([wall.md](wall.md#what-stops-the-robot)). The lab has to provide independent fall protection.
 
 {counts}
 """
 
 
 def matrix_page(summary: Mapping[str, Any]) -> str:
-    """The whole page, of `hil.procedure.faults.summary`."""
+    """Return the page as Markdown, from the result of `hil.procedure.faults.summary`."""
     counts = (
         f"{summary['cells']} cells, {len(summary['failed'])} failed, "
-        f"{summary['quiet_cells']} passed without a word about the device."
+        f"{summary['quiet_cells']} passed without a report of the device."
         if summary["cells"]
         else "No cells."
     )
     if summary["cells"] < summary["planned"]:
         counts += (
-            f" Ended early: {summary['planned']} cells were asked for; `--resume` goes on with the others."
+            f" Ended early: {summary['planned']} cells were requested; `--resume` goes on with the others."
         )
     parts = [
         _HEAD.format(
@@ -77,7 +77,7 @@ def matrix_page(summary: Mapping[str, Any]) -> str:
         parts.append("\n## Failed\n\n| cell | why |\n|---|---|\n")
         parts += [f"| `{f['cell']}` | {_plain(f['why'])} |\n" for f in summary["failed"]]
     if summary["quiet"]:
-        parts.append("\n## Without a word\n\n| device | fault | moments | why |\n|---|---|---|---|\n")
+        parts.append("\n## Not reported\n\n| device | fault | moments | why |\n|---|---|---|---|\n")
     parts += [
         f"| `{q['device']}` | `{q['fault']}` | {', '.join(q['moments'])} | {q['why']} |\n"
         for q in summary["quiet"]
@@ -96,7 +96,7 @@ def _table(plant: Mapping[str, Any]) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Text that is safe in a table."""
+    """Escape a text for a cell of a Markdown table."""
     return " ".join(text.replace("|", "/").split())[:300]
 
 
@@ -109,11 +109,11 @@ def write_faults(folder: Path, summary: Mapping[str, Any]) -> Path:
     """Write `faults.html` and `faults.json`; returns the path of the page.
 
     Args:
-        folder: of the campaign; must exist.
-        summary: as `hil.procedure.faults.summary` returns it, with `began`, ISO 8601.
+        folder: folder of the campaign; must exist.
+        summary: result of `hil.procedure.faults.summary`, with `began`, ISO 8601.
 
     Raises:
-        DataError: they cannot be written.
+        DataError: a file cannot be written.
     """
     page = environment().get_template("faults.html").render(summary=summary)
     data = json.dumps(summary, indent=2, allow_nan=False) + "\n"

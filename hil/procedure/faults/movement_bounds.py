@@ -1,7 +1,7 @@
-"""What is promised of a robot by the class of the fault that strikes: how far it may move, what may be lost.
+"""Bounds for each class of faults: how far the robot may move, and whether its hold may be lost.
 
-The class goes by the device that was struck and by what the fault takes away, so that no fault is excused by
-what another one would have done.
+The class follows from the faulty device and from what the fault removes, so that a fault is not judged by the
+weaker bounds of another one.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from hil.core.registry import kinds
 from hil.procedure.faults.cases import Cell
 
 FARTHEST_M, STILL_M = 0.005, 0.0005
-"""That a robot may move after its stop, and once it is said to be held."""
+"""Largest motion of a robot after its stop, and after it was reported HELD."""
 SAGS_M = 0.005
-"""In place of `STILL_M` where a servo may fail again after that."""
+"""Replaces `STILL_M` if a servo may fail again afterwards."""
 LIMP_M_S, RESTART_S = 0.025, 0.4
-"""Speed at which a robot slides down whose servos have no torque, and how long they take to come back."""
+"""Sliding speed of a robot whose servos have no torque, and the time until the torque is back."""
 WATCHED_S = 5.0
-"""For which a robot is watched after the bench has closed."""
+"""Time for which the robot is observed after the bench has closed."""
 SIGMAS, SLACK_M, MOST_OFF_M = 3.0, 0.005, 0.04
-"""By which the estimate of a run that ends well may be wrong: by its sigmas, and whatever it says of them."""
+"""Largest error of the final estimate: SIGMAS times its sigma plus SLACK_M, and at most MOST_OFF_M."""
 LEAST_ADHESION_N, LEAST_THRUST_N = 21.0, 13.0
-"""Below them the shipped robot slides down its wall: of the fan's 45 N, and of the propellers' 22 N."""
+"""Below these forces, of the fan's 45 N and the propellers' 22 N, the shipped robot slides down its wall."""
 SEES = ("tracker", "mocap")
-"""Kinds of the shipped bench that see a slide."""
+"""Kinds of devices of the shipped bench that measure a slide."""
 _LETS_GO = (
     "off",
     "brownout",
@@ -41,16 +41,16 @@ _LETS_GO = (
     "intermittent",
     "slow",
 )
-"""Faults of servos that take supply or bus, wholly or for a while, or answer too late."""
+"""Faults of servos that interrupt supply or bus, permanently or for a time, or delay the answers."""
 
 
 @dataclass(frozen=True)
 class FaultClass:
-    """Faults of which the same is promised.
+    """Faults that share the same bounds.
 
     Attributes:
-        name: in the page.
-        promise: in the page.
+        name: text in the page.
+        promise: the bounds, as text in the page.
     """
 
     name: str
@@ -72,7 +72,7 @@ CLASSES = (PRESSES, TORQUE, ONE_SERVO, OTHERS)
 
 
 def kind_of(device: str) -> DeviceKind:
-    """The kind of a device by its fault name; the robot itself is named by what presses it on."""
+    """Return the kind of a device by its fault name; the robot counts as the device that presses it on."""
     known = kinds()
     head = device.split(".", 1)[0]
     found = next((k for k in known.values() if head in (k.name, k.shown_as, *k.aliases)), None)
@@ -81,12 +81,12 @@ def kind_of(device: str) -> DeviceKind:
 
 
 def struck(cell: Cell) -> frozenset[str]:
-    """Kinds of devices that are struck."""
+    """Return the kinds of the faulty devices."""
     return frozenset(kind_of(device).name for device in cell.device.split("+"))
 
 
 def class_of(cell: Cell) -> FaultClass:
-    """The class of a cell; of several faults that of which least is promised."""
+    """Return the fault class of a cell; of several faults the one with the weakest bounds."""
     found = {_class_of(device, fault) for device, fault, _ in _parts(cell)}
     return next(one for one in CLASSES if one in found)
 
@@ -100,13 +100,13 @@ def _class_of(device: str, fault: str) -> FaultClass:
 
 
 def let_go(cell: Cell, adhesion_n: float, thrust_n: float) -> bool:
-    """Whether what a struck device holds the robot with was truly too little."""
+    """Whether the true force of a faulty holding device was too low."""
     least = {"adhesion": adhesion_n < LEAST_ADHESION_N, "thrust": thrust_n < LEAST_THRUST_N}
     return any(least.get(kind, False) for kind in struck(cell))
 
 
 def farthest_m(cell: Cell, stopped_s: float, looked_s: float) -> float:
-    """How far the robot may move between its stop and the end of the look at it (times in s of the world)."""
+    """Return how far the robot may move, m, from its stop to the end of the hold check (world times, s)."""
     limp_s = 0.0
     for device, fault, spec in _parts(cell):
         if _class_of(device, fault) is TORQUE:
@@ -116,12 +116,12 @@ def farthest_m(cell: Cell, stopped_s: float, looked_s: float) -> float:
 
 
 def still_m(cell: Cell) -> float:
-    """How far a robot may move that was said to be held."""
+    """Return how far a robot may move, m, after it was reported HELD."""
     return SAGS_M if _is_without(cell) else STILL_M
 
 
 def need_not_be_held(cell: Cell) -> bool:
-    """Whether nothing can say that the robot is held, to the end: of servos, of its force, or of a slide."""
+    """Whether the hold cannot be confirmed until the end: servos, force or slide cannot be measured."""
     return _is_without(cell) or _is_unmeasured(cell) or _is_unseen(cell)
 
 
@@ -134,26 +134,26 @@ def _is_without(cell: Cell) -> bool:
 
 
 def _is_unmeasured(cell: Cell) -> bool:
-    """Whether all that measure the force on the wall are at fault to the end."""
+    """Whether all devices that measure the force on the wall are faulty until the end."""
     return {device for device, _, spec in _parts(cell) if _lasts(spec)}.issuperset(MEASURES)
 
 
 def _is_unseen(cell: Cell) -> bool:
-    """Whether all that see a slide were at fault, one of them to the end.
+    """Whether all devices that measure a slide had a fault, at least one of them until the end.
 
-    A sensor with wrong values for a while is in doubt from then on.
+    A sensor that had wrong values for a time is not trusted afterwards.
     """
     seeing: Mapping[str, bool] = {d: _lasts(spec) for d, _, spec in _parts(cell) if d in SEES}
     return len(seeing) == len(SEES) and any(seeing.values())
 
 
 def _lasts(spec: str) -> bool:
-    """Whether a fault lasts to the end."""
+    """Whether a fault lasts until the end."""
     return "+" not in spec.split(",", 1)[0]
 
 
 def _interval_s(spec: str) -> tuple[float, float]:
-    """When a fault begins and ends; `inf` for one that lasts."""
+    """Return start and end of a fault, s; the end is `inf` for a permanent fault."""
     _, _, when = spec.split(",", 1)[0].partition("@")
     start, _, lasts = when.partition("+")
     start_s = float(start or 0.0)
@@ -161,5 +161,5 @@ def _interval_s(spec: str) -> tuple[float, float]:
 
 
 def _parts(cell: Cell) -> Iterator[tuple[str, str, str]]:
-    """Device, kind and spec of each fault of a cell."""
+    """Return device, kind and spec of each fault of a cell."""
     return zip(cell.device.split("+"), cell.fault.split("+"), cell.specs, strict=True)

@@ -1,4 +1,4 @@
-"""What was seen of one cell: by the bench, as kinds of devices that it accuses, and in truth."""
+"""Observations of one cell: what the bench reported, and what the emulated robot truly did."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hil.core.geometry import Array
 
 @dataclass(frozen=True)
 class Ended:
-    """What ended a drive, the opening or the closing of a bench.
+    """An error that ended a drive, the opening or the closing of a bench.
 
     Attributes:
-        text: what was said.
-        reason: of a stop; `device error` of a device that failed, else the class of the error.
-        suspects: names of devices that it accuses.
+        text: the message.
+        reason: reason of a safety stop; `device error` for a failed device; else the class of the error.
+        suspects: names of the suspected devices.
     """
 
     text: str
@@ -27,7 +27,7 @@ class Ended:
 
 
 def ended_by(error: HilError) -> Ended:
-    """An error as what ended a cell, with whom it accuses by its data."""
+    """Convert an error to `Ended`, with the suspected devices from its data."""
     text = f"{type(error).__name__}: {error}"
     if isinstance(error, SafetyStop):
         return Ended(text, error.reason, error.suspects)
@@ -38,22 +38,22 @@ def ended_by(error: HilError) -> Ended:
 
 @dataclass
 class Seen:
-    """What was seen of a run. Times in s of the world, ways in m.
+    """Observations of one run. World times in s, distances in m.
 
     Attributes:
-        cycles: how many there were.
-        events: the devices that each accuses.
-        stop: what ended the drive; None where it came to its end.
-        error: what opening and closing raised; None for nothing.
-        foreign: an exception that is none of this project's.
-        unreadable: what is wrong with the recording.
+        cycles: number of cycles.
+        events: suspected devices of each event.
+        stop: what ended the drive; None if it reached its end.
+        error: error of opening or closing; None for none.
+        foreign: an exception that is not from this project.
+        unreadable: why the recording cannot be read.
         off_m, sigma_m: (2,) true error of the last estimate, and its standard deviation.
-        held: the bench's last word, after looking after the robot; None where it has none.
-        stopped_s, looked_s: when the robot was asked to stop, and when that was said.
-        moved_m: true way from the stop until then; of a bench that did not open, from where it stood.
-        crept_m: farthest from there in the seconds after the bench has closed.
-        fallen: the true robot, at any time.
-        adhesion_n, thrust_n: least that truly held it at any time.
+        held: final report of the bench, after its hold check; None if there is none.
+        stopped_s, looked_s: time of the stop command, and of the final report.
+        moved_m: true motion between these times; if the bench did not open, from the start position.
+        crept_m: largest distance from there in the seconds after the bench has closed.
+        fallen: whether the true robot fell at any time.
+        adhesion_n, thrust_n: least true holding forces at any time, N.
     """
 
     cycles: int = 0
@@ -75,5 +75,5 @@ class Seen:
 
     @property
     def state(self) -> str:
-        """How the bench says that it left the robot; empty where it says nothing."""
+        """State of the robot in the final report of the bench; empty without a report."""
         return "" if self.held is None else self.held.state

@@ -1,4 +1,4 @@
-"""What a fault campaign has found, as plain data for its pages: classes with their bounds, rows, failures."""
+"""Summarises a fault campaign as JSON data for its pages: fault classes with bounds, rows, failures."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from hil.procedure.faults.judge import CellVerdict
 from hil.procedure.faults.movement_bounds import CLASSES, FaultClass, class_of, kind_of
 
 UNNOTICED = "no sensor notices"
-_AT_THE_END = "struck where the way ends: the run was over before it could be judged"
-_LOST = "single messages are lost or refused by their check, and the next ones say the same"
+_AT_THE_END = "begins at the end of the climb: the run was over before it could be detected"
+_LOST = "single messages are lost or fail their check, and the next ones hold the same data"
 _OF_ANY: Mapping[str, str] = {
-    "duplicate": "what comes twice counts once",
+    "duplicate": "duplicate samples count once",
     "drop": _LOST,
     "truncate": _LOST,
     "corrupt": _LOST,
-    "slow": "a stream is judged second by second: reported within two seconds of a longer run",
+    "slow": "a stream is checked once a second: reported within two seconds in a longer run",
 }
-"""By fault, of a device whose kind says nothing of it (`DeviceKind.silent_faults`)."""
+"""Explanation by fault, for device kinds without their own (`DeviceKind.silent_faults`)."""
 
 
 def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> str:
-    """What there is to say of a fault that was not reported, at these moments."""
+    """Return why a fault was not reported at these moments."""
     if list(moments) == ["stop"]:
         return _AT_THE_END
     passes = kind_of(device).silent_faults
@@ -31,7 +31,7 @@ def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> 
 
 
 def quiet_rows(verdicts: Sequence[CellVerdict]) -> list[dict[str, Any]]:
-    """All that were passed over in silence: `device`, `fault`, `moments` and `why`."""
+    """Return a row for each fault that was not reported: `device`, `fault`, `moments` and `why`."""
     cells = [v.cell for v in verdicts if not v.reported and not v.why and len(v.cell.specs) == 1]
     found: dict[tuple[str, str], list[str]] = {}
     for cell in cells:
@@ -44,13 +44,13 @@ def quiet_rows(verdicts: Sequence[CellVerdict]) -> list[dict[str, Any]]:
 
 
 def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planned: int) -> dict[str, Any]:
-    """Everything that a page shows.
+    """Return all data of the page.
 
     Args:
         verdicts: in the order of the pages.
-        bench: its name, or its file.
-        command: that repeats the campaign.
-        planned: how many cells it has; with fewer verdicts it was ended early.
+        bench: name or file of the bench.
+        command: command that repeats the campaign.
+        planned: number of cells of the campaign; with fewer verdicts it was ended early.
 
     Returns:
         `verdict`, `bench`, `command`, `cells`, `planned`, `quiet_cells`, `classes`, `plants` with rows by
@@ -75,7 +75,7 @@ def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planne
 
 
 def _class(one: FaultClass, verdicts: Sequence[CellVerdict]) -> dict[str, Any] | None:
-    """A class of faults: what is promised, and the worst of what was measured; None without a cell."""
+    """Return a class of faults with its bounds and the worst measured values; None without a cell."""
     mine = [v for v in verdicts if class_of(v.cell) is one]
     if not mine:
         return None
@@ -108,7 +108,7 @@ def _plant(plant: str, verdicts: Sequence[CellVerdict]) -> dict[str, Any]:
 
 
 def _mark(verdicts: Sequence[CellVerdict]) -> str:
-    """What stands in a cell of the table for its seeds."""
+    """Return the text of a table cell, which summarises all its seeds."""
     if not verdicts:
         return ""
     bad = sum(bool(v.why) for v in verdicts)
@@ -119,7 +119,7 @@ def _mark(verdicts: Sequence[CellVerdict]) -> str:
 
 
 def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:
-    """How the robot was left in these cells, the worst of each: nothing but what was measured."""
+    """Return how the robot was left in these cells, with the worst measured values."""
     many, fell = len(verdicts), [v for v in verdicts if v.measured.fell]
     stood = [v for v in verdicts if not v.measured.fell]
     held = [v for v in stood if v.held == "HELD"]
@@ -132,14 +132,14 @@ def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:
             for values in zip(*((v.measured.moved_m, v.measured.crept_m) for v in held), strict=True)
         )
         reported.append(f"HELD{_of(len(held), many)}: moved {moved_mm:.1f} mm, then {crept_mm:.1f} mm")
-    for said, opened in (("NOT HELD", True), ("the bench did not open", False)):
+    for label, opened in (("NOT HELD", True), ("the bench did not open", False)):
         lost = [v for v in stood if v.held != "HELD" and v.opened is opened]
         if lost:
             worst = max(lost, key=lambda v: v.measured.moved_m).measured
             bound = f"moved {1e3 * worst.moved_m:.1f} mm of {1e3 * worst.most_m:.1f}"
-            reported.append(f"{said}{_of(len(lost), many)}: {bound}")
+            reported.append(f"{label}{_of(len(lost), many)}: {bound}")
     others = sorted({name for v in verdicts for name in v.others})
-    return "; ".join([*reported, *([f"also accused: {', '.join(others)}"] if others else [])])
+    return "; ".join([*reported, *([f"also named: {', '.join(others)}"] if others else [])])
 
 
 def _of(part: int, whole: int) -> str:

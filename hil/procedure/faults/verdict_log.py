@@ -1,7 +1,7 @@
-"""Keeps the verdicts of a fault campaign as they come, one JSON line each, so that a long one can go on.
+"""Writes each verdict of a fault campaign at once as a JSON line, so that a campaign can be resumed.
 
-The first line says of what they are: the bench, and the version of this software. A last line that was cut
-off in the middle of writing is dropped; any other damage is named.
+The first line holds the bench and the version of this software. An incomplete last line is dropped; any other
+damage is an error.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _MOST_BYTES = 256 << 20
 
 
 class KeptVerdicts:
-    """The verdicts of a folder: those that were there, and those that come.
+    """Verdicts stored in a folder: earlier ones, and new ones that are appended.
 
     Args:
-        folder: of the campaign; must exist.
-        bench: name or file of the bench, as it was asked for.
-        resume: go on with what is there; otherwise it is set aside as `cells.before.jsonl`.
+        folder: folder of the campaign; must exist.
+        bench: name or file of the bench, as given by the user.
+        resume: continue the existing file; otherwise it is renamed to `cells.before.jsonl`.
 
     Attributes:
         there: verdicts of an earlier run; empty for a new campaign.
 
     Raises:
-        DataError: there is nothing to go on with, it is of another bench or version, or damaged, or the file
-            cannot be written.
+        DataError: there is no file to resume, it is of another bench or version, it is damaged, or it cannot
+            be written.
     """
 
     def __init__(self, folder: Path, bench: str, *, resume: bool) -> None:
@@ -67,7 +67,7 @@ class KeptVerdicts:
         self._file.close()
 
     def add(self, verdict: CellVerdict) -> None:
-        """Keep one more; raises `DataError` where it cannot be written."""
+        """Append a verdict; raises `DataError` if it cannot be written."""
         try:
             self._file.write(json.dumps(asdict(verdict)) + "\n")
             self._file.flush()
@@ -76,7 +76,7 @@ class KeptVerdicts:
 
 
 def _read(path: Path, head: dict[str, str]) -> tuple[CellVerdict, ...]:
-    """What a folder holds; raises `DataError`, or `OSError`."""
+    """Return the stored verdicts; raises `DataError` or `OSError`."""
     if not path.exists():
         raise DataError(str(path), "is not there: no campaign to resume", remedy="leave --resume out")
     there: list[CellVerdict] = []
@@ -108,6 +108,6 @@ def _verdict(tree: dict[str, Any]) -> CellVerdict:
 
 
 def missing(cells: Sequence[Cell], there: Sequence[CellVerdict]) -> tuple[Cell, ...]:
-    """The cells that have no verdict yet."""
+    """Return the cells without a verdict."""
     done = {verdict.cell for verdict in there}
     return tuple(cell for cell in cells if cell not in done)

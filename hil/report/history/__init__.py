@@ -1,1 +1,1 @@
-"""Finds results of earlier runs in a folder, follows them over time, deletes them with care."""
+"""Finds results of earlier runs in a folder, shows their trends, and deletes them safely."""

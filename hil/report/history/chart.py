@@ -1,8 +1,8 @@
-"""Tests whether a series of measured values stays the same: an individuals chart and a test for a trend.
+"""Tests whether a series of measured values is stable: an individuals chart and a trend test.
 
 Control limits are those of Shewhart's chart of individual values: the mean of the first runs, and from it
-2.66 mean moving ranges (three standard deviations, if the values are normal) to either side. They say what
-the bench does by itself; limits say what it is allowed to do.
+2.66 mean moving ranges (three standard deviations, if the values are normal) to either side. They describe
+the normal variation of the bench; limits describe what is allowed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 LEAST, BASE, LOOKED_AT = 8, 20, 30
-"""Runs needed for a chart; how many of the first make it; how many of the last are tested for a trend."""
+"""Runs needed for a chart; number of first runs that define it; number of last runs in the trend test."""
 
 _PER_RANGE = 2.66
 _CHANCE = 1e-3
@@ -24,14 +24,14 @@ STEADY, OUTSIDE, DRIFTING, TOO_FEW = "steady", "outside", "drifting", "too few"
 
 @dataclass(frozen=True)
 class Chart:
-    """What a series of values does.
+    """Result of the tests on a series of values.
 
     Attributes:
-        state: `steady`, `outside` (the last value is none that the bench gave before), `drifting`, `too few`.
+        state: `steady`, `outside` (the last value is outside the control limits), `drifting`, `too few`.
         centre: mean of the first runs, in the unit of the values; None for too few.
-        low, high: control limits, the same.
-        slope: change from run to run; 0 unless drifting.
-        runs_left: runs until the drift meets a limit; None where it meets none.
+        low, high: control limits, in the same unit; None for too few.
+        slope: change per run; 0 unless drifting.
+        runs_left: runs until the drift reaches a limit; None if it reaches none.
     """
 
     state: str
@@ -43,12 +43,12 @@ class Chart:
 
 
 def individuals_chart(values: Sequence[float], low: float | None, high: float | None) -> Chart:
-    """Judge a series that was measured under the same conditions.
+    """Test a series that was measured under equal conditions.
 
     Args:
-        values: in the order of the runs, all in one unit.
+        values: values in the order of the runs, all in one unit.
         low: lower limit of the measurement in that unit; None for none.
-        high: upper limit, the same.
+        high: upper limit in that unit; None for none.
     """
     series = np.asarray(values, float)
     if len(series) < LEAST + 1:
@@ -66,7 +66,7 @@ def individuals_chart(values: Sequence[float], low: float | None, high: float | 
 
 
 def _slope(series: np.ndarray) -> float:
-    """Change from run to run by Theil and Sen; 0 unless Kendall's test sees a trend."""
+    """Return the change per run (Theil-Sen slope); 0 unless Kendall's test finds a trend."""
     from scipy import stats
 
     if np.ptp(series) <= _ROUNDING * np.abs(series).max():

@@ -1,7 +1,7 @@
-"""Finds what a folder of results holds: runs, campaigns, commissionings, acceptances, others.
+"""Lists the contents of a folder of results: runs, campaigns, commissionings, acceptances, others.
 
-A folder of results may hold anything. Whatever cannot be read as a result is shown as what it is, with the
-reason: a run that did not finish, the result of another version, a page or a file from elsewhere.
+A folder of results may hold any files. An entry that is not a readable result is listed with the reason: an
+unfinished run, the result of another version, a page or a file from another source.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from hil.support.file_reading import json_object, read_json
 RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"
 FAULTS, UNFINISHED, FOREIGN = "faults", "unfinished", "foreign"
 OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, FAULTS, UNFINISHED)
-"""Kinds that `hil` itself has written, and may delete."""
+"""Kinds that `hil` writes, and may delete."""
 _DEEPEST = 8
 _MOST_LINE_BYTES = 4 << 20
 _PAGE_BYTES = 1 << 16
@@ -43,21 +43,21 @@ _PAGE_BYTES = 1 << 16
 
 @dataclass(frozen=True)
 class Kept:
-    """One thing in a folder of results.
+    """One entry of a folder of results.
 
     Attributes:
-        folder: where it lies.
-        name: that folder within the folder of results; what a user calls it.
+        folder: folder of the entry.
+        name: that folder relative to the folder of results; shown to the user.
         kind: `run`, `campaign`, `commissioning`, `acceptance`, `faults`, `unfinished`, `foreign`.
-        what: name of the procedure; of a page its title.
-        when: when it began; of what does not say so, when it was last changed.
+        what: name of the procedure; title of a page.
+        when: start time; if unknown, time of the last change.
         bench: name of the bench.
-        where: on which devices: `hardware`, `emulated`, or which of them were emulated.
-        verdict: `PASS`, `FAIL` and so on; empty where there is none.
-        why: what is wrong with it, or what it holds; empty for a run.
-        result: `result.json` of a run, checked.
-        within: name of the campaign or commissioning that it belongs to; empty for one by itself.
-        of_campaign: whether that is a campaign.
+        where: `hardware`, `emulated`, or which devices were emulated.
+        verdict: `PASS`, `FAIL` and so on; empty without a verdict.
+        why: problem or contents of the entry; empty for a run.
+        result: validated `result.json` of a run.
+        within: name of the campaign or commissioning that contains it; empty for none.
+        of_campaign: whether `within` is a campaign.
     """
 
     folder: Path
@@ -75,10 +75,10 @@ class Kept:
 
 
 def find_results(root: Path) -> list[Kept]:
-    """Everything in a folder of results, the latest first. Symbolic links are not followed.
+    """Return all entries of a folder of results, the latest first. Symbolic links are not followed.
 
     Raises:
-        DataError: there is no such folder, or it cannot be read.
+        DataError: the folder does not exist or cannot be read.
     """
     if not root.is_dir():
         what = "is a file" if root.exists() else "there is no such folder"
@@ -92,7 +92,7 @@ def find_results(root: Path) -> list[Kept]:
     for folder, files in _folders(root):
         owner = next((found[p] for p in folder.parents if p in found and p != root), None)
         if owner is not None and owner.kind not in (CAMPAIGN, COMMISSIONING):
-            continue  # figures and attachments of that one
+            continue  # figures and attachments of that result
         kept = _look(root, folder, files)
         if kept is not None and owner is not None:
             kept = replace(kept, within=owner.name, of_campaign=owner.kind == CAMPAIGN)
@@ -102,7 +102,7 @@ def find_results(root: Path) -> list[Kept]:
 
 
 def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Folders from the top down, each before what it holds."""
+    """Yield folders top down with their files, each before its subfolders."""
 
     def refused(error: OSError) -> None:
         if Path(error.filename or "") == root:
@@ -115,7 +115,7 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
 
 
 def _look(root: Path, folder: Path, files: Sequence[str]) -> Kept | None:
-    """What a folder is; None for one that only holds others."""
+    """Return the entry of a folder; None if it only contains other folders."""
     name = folder.relative_to(root).as_posix()
     for mark, reader in _READERS.items():
         if mark in files and (folder / mark).is_file():
@@ -150,7 +150,7 @@ def _run(folder: Path, name: str) -> Kept:
 
 
 def _not_ours(folder: Path, error: DataError) -> str:
-    """Why a `result.json` is none that this version can read."""
+    """Return why this version cannot read a `result.json`."""
     tree, problem = _object(folder / RESULT)
     schema = tree.get("schema")
     if isinstance(schema, int) and schema != RESULT_SCHEMA and "procedure" in tree:
@@ -205,7 +205,7 @@ def _commissioning(folder: Path, name: str) -> Kept:
 
 
 def _acceptance(folder: Path, name: str) -> Kept:
-    """What `hil accept` left: a page that is signed, and its data."""
+    """Return the entry of an acceptance: a page to sign, and its data."""
     tree, problem = _object(folder / ACCEPTANCE_TABLE)
     verdict, stages, devices = tree.get("verdict"), tree.get("stages"), tree.get("devices")
     if problem or not (isinstance(verdict, str) and isinstance(stages, list) and isinstance(devices, dict)):
@@ -227,7 +227,7 @@ def _acceptance(folder: Path, name: str) -> Kept:
 
 
 def _faults(folder: Path, name: str) -> Kept:
-    """What `hil faults` left."""
+    """Return the entry of a fault campaign."""
     tree, problem = _object(folder / FAULTS_TABLE)
     verdict, cells, failed = tree.get("verdict"), tree.get("cells"), tree.get("failed")
     if problem or not (isinstance(verdict, str) and isinstance(cells, int) and isinstance(failed, list)):
@@ -249,13 +249,13 @@ def _faults(folder: Path, name: str) -> Kept:
 
 
 def _unfinished_faults(folder: Path, name: str) -> Kept:
-    """A fault campaign that has not come to its end."""
+    """Return the entry of an unfinished fault campaign."""
     why = "a fault campaign without its table; --resume continues it"
     return Kept(folder, name, UNFINISHED, "fault campaign", _changed(folder / FAULTS_CELLS), why=why)
 
 
 def _unfinished(folder: Path, name: str) -> Kept:
-    """A run that was struck down before it could write its result."""
+    """Return the entry of a run without a result: still running or killed."""
     path = folder / JOURNAL
     try:
         with path.open("rb") as file:
@@ -296,11 +296,11 @@ _READERS: Mapping[str, Callable[[Path, str], Kept | None]] = {
     PLAN: _unfinished_campaign,
     FAULTS_CELLS: _unfinished_faults,
 }
-"""What a file of this name says of its folder, the strongest first."""
+"""Functions that read a folder by a file name in it, in order of priority."""
 
 
 def in_use(folder: Path) -> bool:
-    """Whether a run goes on in a folder or below it: it holds a lock on its journal."""
+    """Whether a run is active in a folder or below it, that is, holds a lock on its journal."""
     for journal in folder.rglob(JOURNAL):
         try:
             with journal.open("rb") as file:
@@ -313,7 +313,7 @@ def in_use(folder: Path) -> bool:
 
 
 def _object(path: Path) -> tuple[dict[str, Any], str]:
-    """A JSON object, and why there is none."""
+    """Return a JSON object, and why it could not be read."""
     try:
         tree = read_json(path)
     except DataError as error:
@@ -332,7 +332,7 @@ def _title(page: Path) -> str:
 
 
 def _moment(text: object) -> datetime | None:
-    """A date and time, ISO 8601; without an offset it counts as local time."""
+    """Parse a date and time, ISO 8601; without an offset it is local time."""
     try:
         return datetime.fromisoformat(str(text)).astimezone(timezone.utc)
     except (ValueError, OverflowError):

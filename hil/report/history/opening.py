@@ -1,4 +1,4 @@
-"""The page of one of the results."""
+"""Finds the page of a result."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ PAGES = {
     ACCEPTANCE: ACCEPTANCE_PAGE,
     FAULTS: FAULTS_PAGE,
 }
-"""File name of the page by the kind of a result; other kinds have none."""
+"""File name of the page by kind of result; other kinds have no page."""
 
 
 def page_of(kept: Kept) -> Path:
-    """Where its page is; that of a run is written if it is missing.
+    """Return the path of the page of a result; the page of a run is written if it is missing.
 
     Raises:
-        DataError: it has none.
+        DataError: the result has no page.
     """
     page = kept.folder / PAGES.get(kept.kind, "")
     if page.is_file():

@@ -1,7 +1,7 @@
-"""The page of trends: each measurement over all runs of a bench, with limits, control limits, calibrations.
+"""The trends page: each measurement over all runs of a bench, with limits, control limits, calibrations.
 
-The drawings are made of the page's own markup and follow its theme. Their readings are those of all figures:
-a hover names run and value.
+The drawings are SVG markup of the page and follow its theme. As in all figures, hovering shows run and
+value.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _WIDTH, _HEIGHT, _EDGE = 320.0, 110.0, 8.0
 
 
 def write_trends_page(path: Path, found: Sequence[Group]) -> Path:
-    """Write the page; returns its path.
+    """Write the page; return its path.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: the file cannot be written.
     """
     shown = [
         {"group": g, "series": [(s, drawing(s) if len(s.points) > 1 else None) for s in g.series]}
@@ -44,7 +44,7 @@ def write_trends_page(path: Path, found: Sequence[Group]) -> Path:
 
 
 def headline(found: Sequence[Group]) -> str:
-    """One sentence: whether anything needs a look."""
+    """Return one sentence: whether any measurement needs attention."""
     all_series = [s for group in found for s in group.series]
     runs = sum(len(group.runs) for group in found)
     counts = Counter(s.state for s in all_series)
@@ -56,15 +56,15 @@ def headline(found: Sequence[Group]) -> str:
 
 
 def drawing(series: Series) -> dict[str, Any]:
-    """Places of what is drawn, in px of a picture `_WIDTH` by `_HEIGHT`; runs stand side by side.
+    """Return coordinates of the drawing, in px of a picture `_WIDTH` by `_HEIGHT`; runs are equally spaced.
 
     Args:
-        series: with at least two values.
+        series: series with at least two values.
 
     Returns:
         `points` (x, y, tone, words), `lines` through the points of each stretch, `limits` (y),
         `control` (x, width, top, height, y of the centre), `calibrations` (x, words), `readings` (JSON), and
-        the values at `top` and `bottom`, empty where nothing that was measured or is a limit is there.
+        the values at `top` and `bottom`, empty if no measured value or limit lies there.
     """
     points, reach = series.points, _span(series)
     known = {p.value for p in points} | {series.low, series.high}
@@ -117,7 +117,7 @@ def drawing(series: Series) -> dict[str, Any]:
 
 
 def _readings(series: Series, step: float) -> str:
-    """Runs and values for the page's script, numbered from 0."""
+    """Return runs and values for the page's script; runs are numbered from 0."""
     values, last = [p.value for p in series.points], len(series.points) - 1
     edge = _EDGE / step
     low, high = _span(series)
@@ -144,7 +144,7 @@ def _readings(series: Series, step: float) -> str:
 
 
 def _span(series: Series) -> tuple[float, float]:
-    """Lowest and highest value of the picture: all that was measured, and a limit that is not far off."""
+    """Return the value range of the picture: all measured values, and limits that are not far away."""
     values = [p.value for p in series.points]
     for _, chart in series.stretches:
         values += [v for v in (chart.low, chart.high) if v is not None]

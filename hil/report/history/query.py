@@ -1,4 +1,4 @@
-"""Selects results by words that are in them, or by the name of one."""
+"""Selects results by search words, or by name."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def chosen(
     words: Sequence[str] = (),
     within: bool = False,
 ) -> list[Kept]:
-    """Results that fit all conditions, in their order.
+    """Return the results that meet all conditions, in the given order.
 
     Args:
-        found: to choose from.
-        procedure: its name; empty for any.
-        bench: the same.
-        verdict: the same, in any case.
-        since: not older than this.
-        words: all of them occur, in any case, in what the result says of itself.
-        within: whether runs of a campaign or a commissioning count by themselves.
+        found: all results.
+        procedure: name of the procedure; empty for any.
+        bench: name of the bench; empty for any.
+        verdict: verdict, case-insensitive; empty for any.
+        since: exclude results older than this.
+        words: search words, case-insensitive; the text of a result must contain all of them.
+        within: whether to include single runs of a campaign or a commissioning.
     """
     return [
         kept
@@ -48,7 +48,7 @@ def chosen(
 
 
 def _text(kept: Kept) -> str:
-    """What a search looks through: names, verdict, errors, notes, faults; as KEY=VALUE seed, parameters."""
+    """Return the searchable text: names, verdict, errors, notes, faults; seed and parameters as KEY=VALUE."""
     tree: Mapping[str, Any] = kept.result
     parts = [kept.name, kept.kind, kept.what, kept.bench, kept.where, kept.verdict, kept.why]
     parts += [str(kept.when), tree.get("summary", ""), *tree.get("notes", ()), *tree.get("faults", ())]
@@ -64,16 +64,16 @@ def _text(kept: Kept) -> str:
 
 
 def named(found: Sequence[Kept], name: str, *, whole: bool = False) -> Kept:
-    """The one that a user calls by this name.
+    """Return the result with the name that a user gave.
 
     Args:
-        found: to choose from, the latest first.
-        name: as `hil results list` shows it, or its folder; unless `whole`, also a part of the name of one
-            alone, and `last` for the latest of ours, finished if there is one.
-        whole: whether a part does not do.
+        found: all results, the latest first.
+        name: name in `hil results list`, or the folder; unless `whole`, also a unique part of the name, or
+            `last` for the latest result of `hil`, finished if there is one.
+        whole: whether the full name is required.
 
     Raises:
-        UsageError: none, or several, are called so.
+        UsageError: no result or several results match.
     """
     if name == LAST and not whole:
         ours = [k for k in found if k.kind in OURS and not k.within]

@@ -1,8 +1,8 @@
-"""Deletes results and nothing else: what `hil` did not write, what a run is writing, and links stay.
+"""Deletes results, but no files that `hil` did not write, no active runs, and no links.
 
-Some files have fixed names. The others are named by the result itself, or by the journal of a run:
-recordings, figures, attachments. A run in the folder of another one belongs to neither, unless that is a
-campaign or a commissioning which has begun it.
+Some files have fixed names. The names of recordings, figures and attachments come from the result or from
+the journal of a run. A run inside the folder of another result is not part of it, unless that result is a
+campaign or a commissioning that started this run.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ from hil.report.history.index import ACCEPTANCE, CAMPAIGN, COMMISSIONING, FAULTS
 from hil.support.file_reading import json_object, read_json
 
 FOLDERS = ("figures", "attachments", "recordings", RUNS, ROWS)
-"""Folders that may have been made and left empty."""
+"""Folders that a run may have created and left empty."""
 _MOTION = r"(line_[xy]|circle_c?cw|rotation_c?cw)"
 _BEGUN = re.compile(r"\.hil-[0-9a-f]{8}")
-"""A page that a process was struck down over."""
+"""Temporary file of a page, left by a killed process."""
 _STAGE = re.compile(r"\d\d_[a-z0-9_]+(-\d+)?")
 _NAMING = ("recording", "figure", "attach")
-"""Entries of a journal that name a file."""
+"""Kinds of journal entries that name a file."""
 _PRECIOUS = ("calibration.toml", "bench_fragment.toml", "record.toml")
 _SHOWN = 4
 
 
 def _any_of(*names: str) -> str:
-    """A pattern of these names, whole or not finished."""
+    """Return a pattern for these file names, also for their temporary files."""
     return f"({'|'.join(map(re.escape, names))})(\\.part)?"
 
 
@@ -75,7 +75,7 @@ _OF_FAULTS = re.compile(_any_of(FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX, FAULTS
 
 
 def all_files(folder: Path) -> list[str]:
-    """Every file and link below a folder, as paths within it; links are not followed."""
+    """Return every file and link below a folder as relative paths; links are not followed."""
     found = []
     for place, folders, files in os.walk(folder):
         links = [name for name in folders if (Path(place) / name).is_symlink()]
@@ -84,9 +84,9 @@ def all_files(folder: Path) -> list[str]:
 
 
 def written(kept: Kept) -> list[str]:
-    """What `hil` has written into the folder of a result, as paths within it.
+    """Return the files that `hil` has written into the folder of a result, as relative paths.
 
-    What makes the folder a result comes last: an interrupted removal can be repeated.
+    The files that identify the folder as a result come last, so that an interrupted removal can be repeated.
     """
     folder, there = kept.folder, all_files(kept.folder)
     marks = (
@@ -125,7 +125,7 @@ def _own(kept: Kept, there: list[str]) -> Iterator[str]:
 
 
 def _of_a_run(folder: Path, place: str, there: list[str]) -> Iterator[str]:
-    """What a run has written into a folder within another; nothing of a run below it."""
+    """Yield the files of a run in a subfolder, without those of another run below it."""
     within = f"{place}/" if place else ""
     inside = [name.removeprefix(within) for name in there if name.startswith(within)]
     runs = {name.rpartition("/")[0] for name in inside if name.endswith((f"/{RESULT}", f"/{JOURNAL}"))}
@@ -138,7 +138,7 @@ def _of_a_run(folder: Path, place: str, there: list[str]) -> Iterator[str]:
 
 
 def _named(folder: Path) -> set[str]:
-    """Files that a run names as its own: in its result, and in its journal, which knows earlier attempts."""
+    """Return the files that a run lists in its result, and in its journal, which covers earlier attempts."""
     result = _object(folder / RESULT)
     names = _list(result, "recordings")
     for entry in _list(result, "figures") + _list(result, "attachments"):
@@ -176,14 +176,14 @@ def _list(tree: dict[str, Any], key: str) -> list[Any]:
 
 @dataclass(frozen=True)
 class Loss:
-    """What goes with a result, and what does not.
+    """What the deletion of a result removes, and what it leaves.
 
     Attributes:
         kept: the result.
-        files: what goes, as paths within its folder.
-        size_bytes: of that.
-        precious: names of those that others may build on.
-        stays: what `hil` has not written, as paths within the folder.
+        files: files to delete, relative to its folder.
+        size_bytes: size of these files.
+        precious: names of files on which other results may depend.
+        stays: files that `hil` has not written, relative to its folder.
     """
 
     kept: Kept
@@ -193,7 +193,7 @@ class Loss:
     stays: tuple[str, ...] = ()
 
     def in_words(self) -> str:
-        """One line for the question before the removal."""
+        """Return one line for the question before the deletion."""
         what = f"{self.kept.name}: {self.kept.what} {self.kept.verdict or self.kept.kind}"
         part = f", part of {self.kept.within}" if self.kept.within else ""
         held = f", with {', '.join(self.precious)}" if self.precious else ""
@@ -201,7 +201,7 @@ class Loss:
         return "; ".join(filter(None, (f"{what}, {size}{held}{part}", self.stays_in_words())))
 
     def stays_in_words(self) -> str:
-        """What is left of the folder and why; empty where all of it goes."""
+        """Return what is left of the folder and why; empty if all is deleted."""
         if not self.stays:
             return ""
         few = ", ".join(self.stays[:_SHOWN]) + (", ..." if len(self.stays) > _SHOWN else "")
@@ -211,10 +211,10 @@ class Loss:
 
 
 def loss(root: Path, kept: Kept) -> Loss:
-    """What would be lost; checks that it may be deleted.
+    """Check that a result may be deleted; return what would be lost.
 
     Raises:
-        DataError: it is foreign, still in use, or lies outside the folder of results.
+        DataError: the result is foreign, still in use, or outside the folder of results.
     """
     folder = kept.folder
     if kept.kind not in OURS:
@@ -239,10 +239,10 @@ def loss(root: Path, kept: Kept) -> Loss:
 
 
 def delete(losses: Sequence[Loss]) -> None:
-    """Delete what was looked at, and the folders that are empty then.
+    """Delete the files of each loss, and the folders that are then empty.
 
     Raises:
-        DataError: a file cannot be deleted; names it. Those before it are gone.
+        DataError: a file cannot be deleted; names this file. The files before it are deleted.
     """
     for item in losses:
         folder = item.kept.folder
@@ -252,12 +252,12 @@ def delete(losses: Sequence[Loss]) -> None:
             except OSError as error:
                 raise DataError(str(folder / name), f"cannot be deleted ({reason_of(error)})") from None
         for place in _emptied(item):
-            with suppress(OSError):  # it holds files of another program
+            with suppress(OSError):  # the folder holds files of another program
                 os.rmdir(place)
 
 
 def _emptied(item: Loss) -> Iterator[Path]:
-    """Folders that `hil` has made for what it wrote, the deepest first, the result's own last."""
+    """Yield the folders that `hil` created for its files, the deepest first, the result's folder last."""
     folder = item.kept.folder
     held = {place for name in item.files for place in (folder / name).parents if place != folder}
     within = {place for place in held if place.is_relative_to(folder)} | {folder / name for name in FOLDERS}

@@ -1,8 +1,8 @@
-"""Each measurement over all runs of a bench, in stretches between two calibrations, and what it does.
+"""The series of each measurement over all runs of a bench, split at calibrations, and its state.
 
-Only runs that can be compared stand in one series: of one procedure on one bench, on the same devices, with
-the same parameters and faults, and of the same emulated robot (its seed). Runs of a campaign are no history
-of a bench and are left out. A measurement that the newest runs have no value of is not steady: it is missing.
+One series holds only comparable runs: one procedure on one bench with the same devices, parameters, faults
+and emulated robot (seed). Runs of a campaign are not the history of a bench and are left out. A measurement
+without a value in the newest runs is `missing`, not `steady`.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from hil.report.history.index import RUN, Kept
 from hil.report.pages import number
 
 MISSING = "missing"
-"""State of a measurement of which the newest runs have no value."""
+"""State of a measurement without a value in the newest runs."""
 ALARMS = (MISSING, DRIFTING, OUTSIDE)
 """States that need attention."""
 _URGENCY = (*ALARMS, STEADY, TOO_FEW)
 _COUNTED = (*PASSED, "FAIL")
-"""Verdicts of runs that came to their end; what an aborted one measured is left out."""
+"""Verdicts of runs that reached their end; values of aborted runs are left out."""
 _EARLY = ("ERROR", "ABORTED")
-"""Those of runs that ended early."""
+"""Verdicts of runs that ended early."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One value: of which run, when, by which calibration, with which outcome."""
+    """One value, with its run, time, calibration and outcome."""
 
     run: str
     when: datetime
@@ -46,12 +46,12 @@ class Series:
     """One measurement over the runs of a group.
 
     Attributes:
-        name: of the measurement.
-        unit: of its values and limits.
+        name: name of the measurement.
+        unit: unit of its values and limits.
         low, high: limits of the last run; None for none.
-        stretches: points between two changes of the calibration, each with its chart, in order; none where no
+        stretches: points between two changes of the calibration, each with its chart, in order; none if no
             run has a value.
-        missing: how many of the newest runs have no value, those that ended early among them.
+        missing: how many of the newest runs have no value, including runs that ended early.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Series:
 
     @property
     def state(self) -> str:
-        """`missing`, else that of the chart."""
+        """`missing`, else the state of the chart."""
         return MISSING if self.missing else self.chart.state
 
     @property
@@ -73,11 +73,11 @@ class Series:
 
     @property
     def chart(self) -> Chart:
-        """Chart of the last stretch: what the measurement does now, or did while there were values."""
+        """Chart of the last stretch: the current state, or the state while there were values."""
         return self.stretches[-1][1] if self.stretches else Chart(TOO_FEW)
 
     def in_words(self) -> str:
-        """One sentence: what it does."""
+        """Return one sentence about the series."""
         if not self.missing:
             return self._values_in_words()
         if not self.stretches:
@@ -111,11 +111,11 @@ class Series:
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that can be compared, and their measurements, those that need a look first.
+    """Comparable runs and their measurements, those that need attention first.
 
     Attributes:
-        runs: those that came to their end, in order.
-        early: how many more ended early.
+        runs: runs that reached their end, in order.
+        early: number of further runs that ended early.
     """
 
     procedure: str
@@ -128,14 +128,14 @@ class Group:
 
     @property
     def title(self) -> str:
-        """What a reader knows it by."""
+        """Title of the group for the reader."""
         how = f" ({self.where})" if self.where else ""
         with_what = f", {self.in_words}" if self.settings != "{}" else ""
         return f"{self.procedure} on {self.bench or 'a bench without a name'}{how}{with_what}"
 
     @property
     def in_words(self) -> str:
-        """Seed, faults and parameters that tell it from other runs of its procedure."""
+        """Seed, faults and parameters that distinguish the group from other runs of the procedure."""
         reported = []
         for key, value in json.loads(self.settings).items():
             shown = ", ".join(map(str, value)) if isinstance(value, list) else value
@@ -144,7 +144,7 @@ class Group:
 
 
 def groups(found: Sequence[Kept]) -> list[Group]:
-    """Comparable runs together, those that need a look first, then by name."""
+    """Group comparable runs; sort groups that need attention first, then by name."""
     runs = [k for k in found if k.kind == RUN and k.verdict in (*_COUNTED, *_EARLY) and not k.of_campaign]
     ordered = sorted(runs, key=lambda k: (_key(k), k.when))
     alike = [(key, tuple(own)) for key, own in groupby(ordered, key=_key)]
@@ -180,7 +180,7 @@ def _has_value(name: str, kept: Kept) -> bool:
 
 
 def _series(name: str, runs: Sequence[Kept], every: Sequence[Kept]) -> Series:
-    """Values of `runs`, what is missing of `every` run. Values in another unit than the last begin anew."""
+    """Return the series of `runs`, with values missing in `every`. Only values in the last unit are used."""
     rows = [(kept, row) for kept in runs if (row := _row(name, kept)) is not None]
     measured = [(kept, row) for kept, row in rows if row["value"] is not None]
     last = (measured or rows)[-1][1]
@@ -198,6 +198,6 @@ def _series(name: str, runs: Sequence[Kept], every: Sequence[Kept]) -> Series:
 
 
 def _calibration(tree: Mapping[str, Any]) -> str:
-    """What a reader knows a calibration by; two with the same version and other content are two."""
+    """Return a label of a calibration; equal versions with different content get different labels."""
     found = tree["calibration"]
     return "none" if not found else f"version {found['version']} ({found['sha256'][:6]})"
