@@ -128,7 +128,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
         "robot": config.robot.name,
         "began": began,
         "ended": asked.now(),
-        "backends": "virtual time" if asked.source.virtual else "real time",
+        "time": "virtual time" if asked.source.virtual else "real time",
         "seed": asked.source.seed,
         "faults": list(asked.source.faults),
         "stopped": ended_by,

@@ -74,6 +74,7 @@ class RunOutputs:
         self.findings = Findings()
         self.titles: list[str] = []
         self._by_name = {m.name: m for m in declared}
+        self._undrawn: list[Entry] = []
 
     @property
     def where(self) -> str:
@@ -149,9 +150,10 @@ class RunOutputs:
 
     def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
         """As `Context.figure`; raises `UsageError`."""
+        self._must_be_new("figure", title, [*self.findings.figures, *self._undrawn])
         if self.keep == "results":
+            self._undrawn.append({"title": title})
             return
-        self._must_be_new("figure", title, self.findings.figures)
         self.draw(figure, title, caption)
 
     def _must_be_new(self, what: str, title: str, others: Sequence[Entry]) -> None:

@@ -146,6 +146,18 @@ def test_a_table_or_figure_that_cannot_be_meant_is_reported_by_its_title(run_sma
     assert result.measurements[0]["outcome"] == "PASS"
 
 
+@pytest.mark.parametrize("keep", ["all", "results"])
+def test_a_figure_that_exists_twice_is_refused_whether_drawn_or_not(run_small, keep):
+    @procedure(name="wrong")
+    def wrong(ctx):
+        for _ in range(2):
+            ctx.figure(drawn, "f")
+
+    result = run_small(wrong, keep=keep)
+    assert result.exit_code == 2
+    assert result.error.message.startswith("figure 'f' exists twice")
+
+
 def test_a_headline_that_fails_costs_no_results(caplog):
     broken = procedure(name="broken", headline=lambda values: 1 / 0)(lambda ctx: None)
     assert broken.said({}) == ""
