@@ -93,6 +93,7 @@ OTHERWISE = {
             "imu_calibration",
             "latency",
             "surface_identification",
+            "sensor_noise",
             "wall_tracking",
             "wall_ablation",
         )
