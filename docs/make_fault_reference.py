@@ -29,7 +29,8 @@ PAGE = Path(__file__).with_name("faults.md")
 ROOT = Path(hil.__file__).resolve().parent
 HEAD = """# Faults
 
-Emulated devices fail on request; real ones refuse. A fault is a device, a kind, a time and options:
+Emulated devices can produce faults on request, so that you can test how the bench and your code react. Real
+devices refuse faults. A fault consists of a device, a kind, a time and options:
 
 ```
 DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...]
@@ -40,13 +41,13 @@ tracker:wrong@1,scale=0.8            a camera that sees every step a fifth too s
 servos:drop@0+10,probability=0.2     every fifth reply is lost, for ten seconds
 ```
 
-`hil run`, `hil live` and `hil emulate` take it as `--fault` (repeatable), the bench file as
-`[emulation] faults = ["imu:stuck@2+3"]`, a pytest test as `@pytest.mark.fault("imu", "stuck", at=2.0,
-duration=3.0)`. A run or a session that ends before its fault has begun says so, and a test fails.
-The same holds for a fault that begins only while the closing bench checks that the stopped robot is held.
-A fault that could do nothing, shorter than 1 ms or of probability 0, is refused.
+`hil run`, `hil live` and `hil emulate` take a fault as `--fault` (repeatable). In the bench file it is
+`[emulation] faults = ["imu:stuck@2+3"]`, in a pytest test `@pytest.mark.fault("imu", "stuck", at=2.0,
+duration=3.0)`. A run or a session that ends before its fault has begun reports this; a test fails. The same
+holds for a fault that begins only while the closing bench checks that the stopped robot is held. A fault
+without effect, shorter than 1 ms or of probability 0, is refused.
 
-A path that ends in `.toml` is a timeline of several:
+A path that ends in `.toml` is a timeline of several faults:
 
 ```toml
 [[fault]]
@@ -58,25 +59,24 @@ options = { }
 ```
 
 **World time.** Seconds count from the start of the emulated world, not of the motion. Opening the devices
-takes the first part of it, 0.44 s on the shipped profile: a fault at 0 meets devices that are being opened.
-In virtual time it is the bench's clock; `hil emulate --await-start` lets it stand still until the client is
-ready. Without a start a fault acts from the beginning, without a duration to the end. `reset`, and `jump`
-except of motion capture, act once, at the start. Of two faults of one kind on one device the one that
-began last counts.
+takes the first 0.44 s on the shipped profile: a fault at 0 acts on devices that are being opened. In virtual
+time, world time is the bench's clock; `hil emulate --await-start` stops it until the client is ready. Without
+a start a fault acts from the beginning, without a duration to the end. `reset` and `jump` act once, at the
+start; `jump` of motion capture lasts. Of two faults of one kind on one device the one that began last counts.
 
-**How long a silent sensor is waited for.** As long as `fail_after_s` of its table in the bench file: 3 s
+**Timeout of a silent sensor.** The bench waits for `fail_after_s` of the sensor's table in the bench file: 3 s
 for an IMU, 2 s for camera and motion capture, 1 s for encoders and load cells, unless you change it. Longer
-silence ends the drive, or the observation at rest, with `DeviceTimeoutError` (exit code 3). That is so in
-virtual time, at the wire, in a mix and on the real bench. In real time a port that has gone is opened again
-meanwhile, and a sensor that is back in time goes on. A procedure that catches the error goes on, too; then a
-note in `result.json` and in the report names the device and how long it was silent. Only a session of
+silence ends the drive, or the observation at rest, with `DeviceTimeoutError` (exit code 3). This holds in
+virtual time, at the wire, in a mix and on the real bench. In real time a port that has disappeared is reopened
+meanwhile, and a sensor that returns in time continues. If a procedure catches the error, it continues, and a
+note in `result.json` and in the report names the device and the length of the silence. Only a session of
 `hil live` that does not drive the robot waits longer: up to 10 s more.
 
-Of [several devices of one kind](bench-file.md#several-devices-of-one-kind) each has a name:
+[Several devices of one kind](bench-file.md#several-devices-of-one-kind) are addressed by name:
 `imu_arm:stuck`.
 
-A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
-is written by `docs/make_fault_reference.py` from what the devices declare.
+An unknown device or option, or a fault that a device cannot produce, is refused before anything is opened.
+This page is written by `docs/make_fault_reference.py` from the declarations of the devices.
 """
 SHARED = {
     "period_s": f"{PERIOD_S:g}",
