@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.evaluation import cost, track_all
@@ -25,13 +25,14 @@ from hil.calibration.validation import (
     score,
     table_of,
 )
-from hil.calibration.warnings import caveats, common_zero_rad, left_out_because, unexplained
+from hil.calibration.warnings import HARDLY, caveats, common_zero_rad, left_out_because, unexplained
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks, reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import WHOLE, Report, silent
 
@@ -80,10 +81,17 @@ class Calibration:
         """The calibrated geometry."""
         return self.fit.geometry
 
-    @property
+    @cached_property
     def explains(self) -> bool:
-        """Whether the result explains the recordings; if not, a warning tells what to look for."""
-        return not unexplained(self.fit)
+        """Whether the result explains the recordings; if not, a warning tells what to look for.
+
+        It does not where recordings that count contradict the nominal robot, nor where a parameter ended at
+        the bound of its prior (ten standard deviations).
+        """
+        at_prior = bool(self.spectrum.at_bound) and self.fit.problem.setting.bounds is None
+        weights = zip(self.recordings, self.fit.problem.weights, strict=True)
+        counted = [one for one, weight in weights if weight > HARDLY]
+        return not (unexplained(self.fit) or at_prior or contradictions(counted, self.nominal))
 
     def choice_in_words(self) -> tuple[str, ...]:
         """How the forward model was chosen, and how far models that may be as right end apart."""
@@ -197,6 +205,8 @@ def calibrate(
     """
     if not recordings:
         raise DataError("", "no recordings", expected="at least one")
+    if all(is_at_rest(one.wheel_angle_rad) for one in recordings):
+        raise DataError(recordings[0].name, NO_MOTION)
     if twice := [name for name, n in Counter(r.name for r in recordings).items() if n > 1]:
         raise DataError("", f"several recordings are called {', '.join(twice)}", expected="names that differ")
     begin_ns = clock.now_ns()

@@ -21,7 +21,14 @@ from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.time_offset import time_offset_s
 from hil.datasets.truth_jumps import fastest_m_s, find_jumps
-from hil.datasets.wrong_signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
+from hil.datasets.wrong_signs import (
+    NO_MOTION,
+    RATES_AGAINST,
+    is_at_rest,
+    missed_shares,
+    rates_against_angles,
+    wrong_signs,
+)
 
 Reasons = dict[int, str]
 """Reason why a recording is corrupt, by its index."""
@@ -45,12 +52,17 @@ def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]
         nominal: nominal robot.
     """
     found: Reasons = {}
-    for look in (_leaping, _wrong_signs, _apart, _other_clocks, _misfits):
+    for look in (_at_rest, _leaping, _wrong_signs, _apart, _other_clocks, _misfits):
         left = [k for k in range(len(recordings)) if k not in found]
         reported = look([recordings[k] for k in left], nominal)
         if len(reported) < len(left):
             found |= {left[k]: why for k, why in reported.items()}
     return {recordings[k].name: found[k] for k in sorted(found)}
+
+
+def _at_rest(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
+    """Recordings in which no wheel turns."""
+    return {k: NO_MOTION for k, one in enumerate(recordings) if is_at_rest(one.wheel_angle_rad)}
 
 
 def _leaping(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:

@@ -30,7 +30,7 @@ _CLEARLY_M, _CLEARLY_RAD = 2e-3, float(np.radians(0.5))
 _MUCH = 1.5
 _LENGTHS, _COMMON_RAD = 12, 0.02
 _UNEXPLAINED = 0.2
-_HARDLY = 0.05
+HARDLY = 0.05
 _NO_WORKSHOP = (
     " (ten standard deviations of the prior, more than a workshop leaves; look for a wrong column, unit or "
     "bench file)"
@@ -109,7 +109,7 @@ def motions_apart(found: Fit) -> list[str]:
     return [
         f"{motion}: none of its recordings fits those of other motions, so they hardly count; {LOOK}"
         for motion, own in weights.items()
-        if len(own) > 1 and max(own) < _HARDLY
+        if len(own) > 1 and max(own) < HARDLY
     ]
 
 

@@ -60,8 +60,8 @@ def command(
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
 
     With --calibration it reports to how many of them the calibration was fitted: errors on those are in
-    sample. A calibration that failed its validation run is used, with a warning. If the wheels contradict
-    the ground truth (wheel order, signs, axes), the exit code is 2.
+    sample. A calibration that failed its validation run is used, with a warning. If no wheel turns, or the
+    wheels contradict the ground truth (wheel order, signs, axes), the exit code is 2.
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
@@ -71,7 +71,7 @@ def command(
     from hil.calibration.warnings import crossed_gaps, warnings_of
     from hil.core.errors import UsageError
     from hil.datasets.read import read_recordings
-    from hil.datasets.wrong_signs import contradictions
+    from hil.datasets.wrong_signs import contradictions, turned_headings, without_motion
     from hil.support.atomic_files import check_folder
 
     if deploy == "twist" and calibration is None:
@@ -103,10 +103,13 @@ def command(
     warnings = [failed, *warnings_of(recordings)] if failed else warnings_of(recordings)
     warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
-    contradicted = contradictions(recordings, robot.geometry if file is None else file.geometry)
-    warnings += _doubts(recordings, file, robot, used_signal, deploy, bool(contradicted)) + contradicted
+    geometry = robot.geometry if file is None else file.geometry
+    contradicted = contradictions(recordings, geometry)
+    refused = without_motion(recordings) + contradicted
+    warnings += _doubts(recordings, file, robot, used_signal, deploy, bool(contradicted)) + refused
+    warnings += [] if contradicted else turned_headings(recordings, geometry)
     table["warnings"] = warnings
-    table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems] + contradicted
+    table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems] + refused
     for line in warnings:
         click.echo(f"warning: {line}", err=True)
     if plots is not None:

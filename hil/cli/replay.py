@@ -93,7 +93,7 @@ def command(
     from hil.core.signals import heard
     from hil.replay.estimator_comparison import sensors_text
     from hil.replay.recordings import open_recording
-    from hil.replay.user_estimators import check_named, unknown_states
+    from hil.replay.user_estimators import check_named, unknown_states, unusable_states
     from hil.support.atomic_files import check_ending, check_file
 
     for named in estimators:
@@ -108,6 +108,7 @@ def command(
         if view is not None or estimators or calibration is not None:
             raise UsageError("--verify cannot go with --estimator, --calibration or --rerun")
         result |= _verified(opened, number)
+        result["problems"] = opened.problems
         if page is not None:
             _write(result, lambda: _write_verification(page, opened, result))
     else:
@@ -121,14 +122,15 @@ def command(
         result["warnings"] = [*opened.doubts(), *unknown]
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
+        unusable = (line for name in estimators for line in unusable_states(name, motions[name]))
+        result["problems"] = [*opened.problems, *opened.contradicted, *unusable]
         unshown = _show(opened.bench, run, motions, view)
         if page is not None:
             _write(result, lambda: _write_page(page, opened, motions, result))
-    result["problems"] = opened.problems
-    for problem in opened.problems:
+    for problem in result["problems"]:
         click.echo(f"hil: {recording}: {problem}", err=True)
     click.echo(json.dumps(result) if as_json else _text(result))
-    if opened.problems or unshown or "error" in result:
+    if result["problems"] or unshown or "error" in result:
         return EXIT_USAGE
     return EXIT_LIMIT_FAILED if result.get("verdict") == "differs" else EXIT_PASS
 
@@ -177,7 +179,7 @@ def _write_page(
         motions,
         truth_of(next(iter(motions.values()))),
         result["estimators"],
-        [*opened.problems, *result["warnings"]],
+        [*result["problems"], *result["warnings"]],
         (result["note"],),
         on_wall=opened.bench.config.environment.on_wall,
     )

@@ -6,12 +6,13 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from hil.cli.completion_types import BENCH
 from hil.cli.options import FILE, JSON, OUT, TOPICS
@@ -23,6 +24,7 @@ from hil.support.file_reading import put_dotted
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
     from hil.config.estimator import EstimatorConfig
+    from hil.core.geometry import Array
     from hil.datasets.read import Job
     from hil.estimator.tuning import Score, TruthRun, Tuned
     from hil.robot.kinematics import WheelGeometry
@@ -89,15 +91,8 @@ def command(
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
-    problems, contradicted = list[str](), list[str]()
-    read = partial(
-        _read,
-        bench=bench,
-        calibration=calibration,
-        topics=topics,
-        problems=problems,
-        contradicted=contradicted,
-    )
+    seen = _Findings()
+    read = partial(_read, bench=bench, calibration=calibration, topics=topics, findings=seen)
     config, runs = read(_once(recordings, fitted))
     held = read(_once(check, held_out))[1] if check else []
     start = _start(config.estimator, runs)
@@ -118,16 +113,31 @@ def command(
         result["held_out"] = {"before": asdict(pair[0]), "after": asdict(pair[1])}
         lost = worse(*pair)
     result["verdict"] = None if pair is None else "FAIL" if lost else "PASS"
-    result["problems"] = problems + contradicted
-    result["warnings"] = [f"{what}; what was readable is used" for what in problems]
-    result["warnings"] += [f"{what}; {out} is not written" if out else what for what in contradicted]
+    result["problems"] = seen.problems + seen.refused
+    result["warnings"] = seen.warnings + [f"{what}; what was readable is used" for what in seen.problems]
+    result["warnings"] += [f"{what}; {out} is not written" if out else what for what in seen.refused]
     result["warnings"] += [_do_not_use(check, lost, out)] if lost else []
     for line in result["warnings"]:
         click.echo(f"warning: {line}", err=True)
-    if out is not None and not contradicted:
+    if out is not None and not seen.refused:
         _write(out, bench, found)
     click.echo(json.dumps(result) if as_json else _text(found, pair, result["verdict"]))
     return EXIT_LIMIT_FAILED if lost else EXIT_USAGE if result["problems"] else EXIT_PASS
+
+
+@dataclass
+class _Findings:
+    """What is wrong with recordings.
+
+    Attributes:
+        problems: of damaged ones, of which the readable part is used.
+        refused: of those from which nothing is fitted.
+        warnings: anything else.
+    """
+
+    problems: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 def _check_out(out: Path, bench: str | None) -> None:
@@ -180,15 +190,15 @@ def _read(
     bench: str | None,
     calibration: Path | None,
     topics: Path | None,
-    problems: list[str],
-    contradicted: list[str],
+    findings: _Findings,
 ) -> tuple[BenchConfig, list[TruthRun]]:
-    """Bench and runs of recordings; `problems` and `contradicted` receive what is wrong."""
+    """Bench and runs of recordings; `findings` receives what is wrong with them."""
     from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usability_check import check_not_failed
     from hil.datasets.dataset import Recording
     from hil.datasets.rosbag import is_bag
-    from hil.datasets.wrong_signs import contradictions
+    from hil.datasets.time_offset import different_clocks
+    from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest, turned_headings
     from hil.estimator.tuning import TruthRun
     from hil.loop.driven_motion import Motion
     from hil.replay.estimator_comparison import truth_of
@@ -214,7 +224,9 @@ def _read(
                     opened.bench.config.environment.kind,
                 )
             )
-        problems += [f"{path}: {what}" for what in opened.problems]
+        findings.problems += [f"{path}: {what}" for what in opened.problems]
+        if all(is_at_rest(_wheel_angles(run)) for run in found):
+            findings.refused.append(f"{path}: {NO_MOTION}")
         if opened.tables:
             tables, geometry = [*tables, *opened.tables], opened.bench.geometry
         usable = [run for run in found if run.can_be_checked()]
@@ -224,8 +236,16 @@ def _read(
     if config is None:
         raise UsageError("no recording given")
     if geometry is not None:
-        contradicted += contradictions(tables, geometry)
+        contradicted = contradictions(tables, geometry)
+        findings.refused += contradicted
+        findings.warnings += different_clocks(tables)
+        findings.warnings += [] if contradicted else turned_headings(tables, geometry)
     return config, runs
+
+
+def _wheel_angles(run: TruthRun) -> Array:
+    """Wheel angles (n, 4) of a run, rad."""
+    return np.array([w.wheel_angle_rad for m in run.measurements for w in m.wheels]).reshape(-1, 4)
 
 
 def _start(config: EstimatorConfig, runs: Sequence[TruthRun]) -> EstimatorConfig:

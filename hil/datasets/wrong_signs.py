@@ -35,8 +35,10 @@ LOOK = (
 )
 """Remedy for recordings that no geometry explains."""
 RATES_AGAINST = "the wheel rates (w) have the other sign than the wheel angles (phi)"
+NO_MOTION = "no wheel turns in it, so it shows nothing of odometry; leave it out, or record a drive"
 _CONTRADICTS = "the wheels contradict the ground truth, and would agree if {}"
 _AGAINST = -0.5
+_TURNED_RAD, _LEAST_WAY_M = 0.1, 0.3
 _MIRRORED = np.tile([1.0, -1.0], 4)
 
 
@@ -135,6 +137,49 @@ def missed_shares(recordings: Sequence[Recording], geometry: WheelGeometry) -> A
     return strides.missed(strides.rolled(), strides.moved())
 
 
+def is_at_rest(wheel_angle_rad: Array) -> bool:
+    """Whether no wheel turns by more than 0.05 rad, of angles (n, 4); rows with NaN do not count."""
+    known = wheel_angle_rad[np.isfinite(wheel_angle_rad).all(axis=1)]
+    return len(known) > 0 and float(np.ptp(known, axis=0).max()) < _LEAST_ROLLED_RAD
+
+
+def without_motion(recordings: Sequence[Recording]) -> list[str]:
+    """One line if there are recordings in which no wheel turns; else none."""
+    found = [one.name for one in recordings if is_at_rest(one.wheel_angle_rad)]
+    return [f"{found[0]}: {NO_MOTION}{_likewise(found[1:])}"] if found else []
+
+
+def turned_headings(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
+    """One line if the ground truth moves at a constant angle to the rolling direction; else none.
+
+    A heading of the ground truth that is not the robot's has this effect. Named from 0.1 rad on, where
+    turning by that angle explains more than half of the difference.
+    """
+    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
+    both = strides.counted(strides.rolled()), strides.counted(strides.moved())
+    rolled, moved = (moves[..., 0] + 1j * moves[..., 1] for moves in both)
+    angle_rad = np.angle((rolled.conj() * moved).sum(axis=1))
+    before = np.abs(moved - rolled).sum(axis=1)
+    left = np.abs(moved - rolled * np.exp(1j * angle_rad)[:, None]).sum(axis=1)
+    far = (np.abs(angle_rad) > _TURNED_RAD) & (left < 0.5 * before)
+    found = np.flatnonzero(far & (np.abs(moved).sum(axis=1) > _LEAST_WAY_M))
+    if not len(found):
+        return []
+    first, others = recordings[found[0]].name, [recordings[i].name for i in found[1:]]
+    off_rad = float(angle_rad[found[0]])
+    side = f"{abs(np.degrees(off_rad)):.0f} deg to the {'left' if off_rad > 0 else 'right'}"
+    return [
+        f"{first}: all along the drive the ground truth moves {abs(off_rad):.2f} rad ({side}) beside the way "
+        f"that the wheels roll{_likewise(others)}: its heading is not the robot's, or all steering angles "
+        "are off; set the heading of its body, or mount_rotation_wxyz of [truth] in the topic mapping"
+    ]
+
+
+def _likewise(others: Sequence[str], how: str = "likewise") -> str:
+    more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+    return f" ({how}: {', '.join(others[:_NAMED])}{more})" if others else ""
+
+
 def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
     """One line if wheels of this geometry miss more than a fifth of the true way or turning; else none.
 
@@ -145,9 +190,7 @@ def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
     if not found:
         return []
-    others = [recordings[i].name for i in found[1:]]
-    more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-    likewise = f" (likewise, by less: {', '.join(others[:_NAMED])}{more})" if others else ""
+    likewise = _likewise([recordings[i].name for i in found[1:]], "likewise, by less")
     return [
         f"{recordings[found[0]].name}: from second to second the wheels miss {100 * missed[found[0]]:.0f} % "
         f"of the way or turning that the ground truth shows{likewise}; no tolerance explains "
@@ -203,7 +246,11 @@ class _Strides:
 
     def missed(self, rolled: Array, moved: Array) -> Array:
         """Share (R,) of the true way or turning, the larger one, that the wheels miss while they roll."""
-        return _share(rolled * self._weight, moved * self._weight)
+        return _share(self.counted(rolled), self.counted(moved))
+
+    def counted(self, moves: Array) -> Array:
+        """Moves (R, S, 3), m, while the wheels roll, else 0; turning counts at the wheels."""
+        return np.asarray(moves * self._weight, dtype=np.float64)
 
 
 def _changed(strides: _Strides, rolled: Array, moved: Array) -> dict[str, Array]:

@@ -59,8 +59,9 @@ def sensors_text(bench: BenchModel, sensors: Sequence[str]) -> str:
         noise = fitting(bench, sensors).config.estimator.process
         along, turning = noise.acceleration_m_s2_sqrt_hz, noise.angular_acceleration_rad_s2_sqrt_hz
         text += (
-            ": the filters rest on the wheels alone, with a process noise of "
-            f"{along:g} m/s^2 and {turning:g} rad/s^2 per root Hz"
+            f": the filters rest on the wheels alone, on the {bench.config.environment.kind} of bench "
+            f"{bench.config.name}, with a process noise of {along:g} m/s^2 and {turning:g} rad/s^2 per "
+            "root Hz"
         )
     return text
 

@@ -11,6 +11,7 @@ from hil.bench.model import BenchModel
 from hil.core.choices import COMPARED
 from hil.core.errors import UsageError, did_you_mean
 from hil.core.interfaces import Estimator
+from hil.loop.checks.state_valid import unusable
 from hil.loop.driven_motion import Motion
 from hil.support.named_class import make_named
 
@@ -50,3 +51,15 @@ def unknown_states(name: str, motion: Motion) -> Iterator[str]:
             f"{name}: pose or covariance is not finite in {len(unknown)} of {len(motion.records)} cycles, "
             f"the first of them {motion.records[unknown[0]].cycle}; its figures are of the others"
         )
+
+
+def unusable_states(name: str, motion: Motion) -> Iterator[str]:
+    """A problem for each reason but NaN for which the loop would refuse states of an estimator."""
+    found: dict[str, list[tuple[int, str]]] = {}
+    for record in motion.records:
+        if record.state is not None and (fault := unusable(record.state, record.inputs.t_ns)):
+            found.setdefault(fault[0], []).append((record.cycle, fault[1]))
+    for reason, cases in found.items():
+        if reason != "not_finite":
+            cycle, message = cases[0]
+            yield f"{name}: {message} (cycle {cycle}; {len(cases)} of {len(motion.records)} cycles like this)"

@@ -172,7 +172,7 @@ def test_a_long_rest_does_not_count(good):
     assert contradictions([long, rest], CAD) == []
 
 
-@pytest.mark.parametrize("command", ["evaluate", "tune"])
+@pytest.mark.parametrize("command", ["evaluate", "replay", "tune"])
 def test_figures_of_wheels_in_another_order_do_not_end_with_0(tmp_path, capsys, good, command):
     file = tmp_path / "circle_ccw_1.csv"
     one = next(one for one in good if one.motion == "circle_ccw")
@@ -184,9 +184,10 @@ def test_figures_of_wheels_in_another_order_do_not_end_with_0(tmp_path, capsys, 
     assert main([command, str(file), "--json", *few]) == 2
     assert not out.exists()
     reported = capsys.readouterr()
-    (line,) = [w for w in json.loads(reported.out)["warnings"] if "wheels in another order" in w]
-    assert line.startswith("circle_ccw_1: ")
-    assert f"warning: {line}" in reported.err
+    found = json.loads(reported.out)
+    (line,) = [w for w in found["problems"] if w.startswith("circle_ccw_1: ")]
+    assert "wheels in another order" in line
+    assert line in reported.err
 
 
 def test_a_calibration_that_explains_nothing_is_not_written(tmp_path, capsys, good):
@@ -225,3 +226,53 @@ def test_no_robot_is_taken_for_one_with_a_wrong_sign(scale, contact):
 def test_a_fit_that_explains_something_says_no_such_thing(good):
     lines = calibrate(good, RECOMMENDED, MonotonicClock(), validate=False).warnings
     assert not any("explain the recordings" in line or "workshop" in line for line in lines)
+
+
+@pytest.mark.parametrize("command", ["evaluate", "replay"])
+def test_a_heading_that_is_off_is_named_with_the_angle(tmp_path, capsys, good, command):
+    one = next(one for one in good if one.motion == "line_x")
+    turned = replace(one, truth_pose=one.truth_pose + np.array([0.0, 0.0, 0.17]))
+    lines = {}
+    for name, recording in {"good": one, "turned": turned}.items():
+        file = tmp_path / f"{name}_1.csv"
+        write_plain(file, recording)
+        assert main([command, str(file), "--json"]) == 0
+        lines[name] = [w for w in json.loads(capsys.readouterr().out)["warnings"] if "beside the way" in w]
+    assert lines["good"] == []
+    assert re.search(r"0\.1[5-9] rad \(1?\d deg to the right\)", lines["turned"][0])
+
+
+@pytest.mark.parametrize("command", ["calibrate", "evaluate", "tune"])
+def test_recordings_in_which_no_wheel_turns_give_no_figures(tmp_path, capsys, good, command):
+    file, out = tmp_path / "line_x_1.csv", tmp_path / "out.toml"
+    write_plain(file, at_rest(good[0]))
+    more = {
+        "evaluate": [],
+        "tune": ["--evaluations", "2", "--out", str(out)],
+        "calibrate": ["--out", str(out)],
+    }
+    assert main([command, str(file), *more[command]]) == 2
+    assert "line_x_1" in (said := capsys.readouterr().err)
+    assert "no wheel turns" in said
+    assert not out.exists()
+
+
+def test_a_recording_at_rest_among_others_is_left_out(good):
+    found = calibrate(
+        [*good, replace(at_rest(good[0]), name="line_x_2")], RECOMMENDED, MonotonicClock(), validate=False
+    )
+    assert list(found.rejected) == ["line_x_2"]
+    assert found.explains
+
+
+def test_a_calibration_of_contradicted_recordings_explains_nothing(good):
+    """Places of the ground truth in a frame that is turned by 30 degrees, headings not."""
+    c, s = np.cos(0.5), np.sin(0.5)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    wrong = [replace(one, truth_pose=one.truth_pose @ turn.T) for one in good]
+    assert not calibrate(wrong, RECOMMENDED, MonotonicClock(), validate=False).explains
+
+
+def at_rest(one):
+    still = {name: 0.0 * getattr(one, name) for name in ("wheel_angle_rad", "wheel_rate_rad_s", "truth_pose")}
+    return replace(one, **still)

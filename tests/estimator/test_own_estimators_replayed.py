@@ -54,6 +54,20 @@ class LosesItself(MotionCapture):
         return RobotState(state.t_ns, pose, state.twist_body, state.covariance)
 
 
+class Overconfident(MotionCapture):
+    def update(self, measurements):
+        state = super().update(measurements)
+        sign = -1.0 if measurements.cycle >= 20 else 1.0
+        return RobotState(state.t_ns, state.pose_body_in_wall, state.twist_body, sign * state.covariance)
+
+
+class Late(MotionCapture):
+    def update(self, measurements):
+        state = super().update(measurements)
+        late_ns = 1_000_000_000 if measurements.cycle >= 20 else 0
+        return RobotState(state.t_ns - late_ns, state.pose_body_in_wall, state.twist_body, state.covariance)
+
+
 class Divides(MotionCapture):
     def update(self, measurements):
         return 1 / 0
@@ -130,6 +144,17 @@ def test_cycles_without_a_finite_pose_are_counted_in_a_warning(here, capsys):
     assert f"in {cycles - 20} of {cycles} cycles, the first of them 20;" in warning
     assert f"warning: {warning}" in err
     assert reported["estimators"]["mine.py:LosesItself"]["final_position_m"] is None
+
+
+@pytest.mark.parametrize("named", ["mine.py:Overconfident", "mine.py:Late"])
+def test_states_that_the_loop_would_refuse_do_not_end_with_0(here, capsys, named):
+    code, reported, err = replayed(capsys, named)
+    assert code == 2
+    (problem,) = reported["problems"]
+    cycles = reported["cycles"]
+    assert problem.startswith(f"{named}: ")
+    assert f"(cycle 20; {cycles - 20} of {cycles} cycles" in problem
+    assert problem in err
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ class UsableCheck(Check):
             SafetyStop: `not_finite`, `negative_variance` or `stale_estimate`.
         """
         assert cycle.state is not None
-        if found := _unusable(cycle.state, cycle.inputs.t_ns):
+        if found := unusable(cycle.state, cycle.inputs.t_ns):
             reason, message, remedy = found
             raise SafetyStop(reason, f"{message}; {remedy}" if remedy else message)
 
@@ -60,14 +60,14 @@ class ObserverCheck(Check):
 
     def judge(self, name: str, state: RobotState, now_ns: int) -> tuple[Event, ...]:
         """Warn if the estimate of the observer `name` has a fault that was not reported before."""
-        found = _unusable(state, now_ns)
+        found = unusable(state, now_ns)
         if found is None or (name, found[0]) in self._known:
             return ()
         self._known.add((name, found[0]))
         return (Event(now_ns, "warning", name, f"observer {name}: {found[1]}; warned of once"),)
 
 
-def _unusable(state: RobotState, now_ns: int) -> tuple[str, str, str] | None:
+def unusable(state: RobotState, now_ns: int) -> tuple[str, str, str] | None:
     """Reason, message and remedy; None for an estimate that can be used."""
     values = state.pose_body_in_wall.tolist() + state.twist_body.tolist()
     if not math.isfinite(sum(values)):
