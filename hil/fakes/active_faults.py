@@ -27,13 +27,13 @@ class FaultPlan:
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._faults: list[Fault] = []
         self.touched = False
-        self._views: list[FaultsOf] = []
+        self._views: list[DeviceFaultView] = []
         self._keep(list(faults))
         self._supported: dict[str, Supported] = {}
 
-    def of(self, *names: str) -> FaultsOf:
+    def of(self, *names: str) -> DeviceFaultView:
         """Return a view of the faults of a device that has these names; it follows changes of the plan."""
-        view = FaultsOf(self, names)
+        view = DeviceFaultView(self, names)
         self._views.append(view)
         view.follow(fault.device for fault in self._faults)
         return view
@@ -135,7 +135,7 @@ class FaultPlan:
         return any(f.device in devices and f.active(t_ns) for f in self._faults)
 
 
-class FaultsOf:
+class DeviceFaultView:
     """View of the faults of a plan that concern one device.
 
     Attributes:
@@ -163,7 +163,7 @@ class Once:
     def __init__(self) -> None:
         self._done: set[tuple[Hashable, int]] = set()
 
-    def news(self, of: Hashable, fault: Fault | None) -> Fault | None:
+    def first_activation(self, of: Hashable, fault: Fault | None) -> Fault | None:
         """Return an active fault at its first query, and None at every later one.
 
         Args:
@@ -204,7 +204,7 @@ class DeviceFaults:
 
     def news(self, kind: str, t_ns: int) -> Fault | None:
         """Return the active one-time fault of this kind at its first query, None at every later one."""
-        return self._once.news(kind, self.find(kind, t_ns))
+        return self._once.first_activation(kind, self.find(kind, t_ns))
 
     def restarted(self, t_ns: int) -> bool:
         """Return whether the device has just restarted after `reset` or `off`; call it at every step."""

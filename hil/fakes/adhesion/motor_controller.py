@@ -21,7 +21,7 @@ from hil.fakes.body_interface import HoldingForces
 from hil.fakes.can_channel import WIRE_FAULTS, CanChannel, CanFrame
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, STRIKES, Supported
-from hil.fakes.initial_support import Start
+from hil.fakes.initial_support import InitialSupport
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class MotorNode(Scheduled):
         self.begin("tethered" if options.start == "by use" else options.start)
         world.add(self)
 
-    def begin(self, start: Start) -> None:
+    def begin(self, start: InitialSupport) -> None:
         """Set how the robot is held when the world starts; `running` starts at the working point."""
         self._load.begin(start)
         if start == "running":

@@ -206,7 +206,7 @@ class EncoderNode(Scheduled):
         was_dead, self._dead = self._dead, any(find(self.name, k, t_ns) for k in ("off", "brownout"))
         if was_dead and not self._dead:
             self.reset(t_ns)
-        reset = self._once.news("reset", find(self.name, "reset", t_ns))
+        reset = self._once.first_activation("reset", find(self.name, "reset", t_ns))
         if reset is not None:
             self.reset(reset.start_ns)
         if self._dead or t_ns < self._boot_ns:
@@ -244,7 +244,7 @@ class EncoderNode(Scheduled):
             return _turned(word, fault.option("offset_rad", _SLIP_RAD))
         if kind == "corrupt" and fault.strikes(self._rng):
             return word ^ 1 << int(self._rng.integers(0, 18))
-        if kind == "jump" and self._once.news((name, kind), fault) is not None:
+        if kind == "jump" and self._once.first_activation((name, kind), fault) is not None:
             self._chips[axis * CHIP_SIZE + OFFSET] += fault.option("angle_rad", _SLIP_RAD)
         return word
 

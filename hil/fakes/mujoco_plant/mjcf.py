@@ -177,10 +177,10 @@ def _check(mj: Any, spec: Any, source: str) -> None:
         problems.append(
             f"option timestep = {step:g} s is unstable with servos; expected {LONGEST_STEP_S:g} or less"
         )
-    refuse(source, problems)
+    raise_if_any(source, problems)
 
 
-def refuse(source: str, problems: list[str]) -> None:
+def raise_if_any(source: str, problems: list[str]) -> None:
     """Raise `ConfigError` if there are problems."""
     if problems:
         raise ConfigError(f"emulation.mjcf = {source}: {len(problems)} problem(s)", problems=tuple(problems))

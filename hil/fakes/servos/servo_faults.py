@@ -95,7 +95,7 @@ class ServoFaults:
 
     def due_once(self, joint: int, kind: str, t_ns: int) -> Fault | None:
         """Return an active one-time fault (`reset`, `jump`) at its first query, else None."""
-        return self._once.news((joint, kind), self.find(joint, kind, t_ns))
+        return self._once.first_activation((joint, kind), self.find(joint, kind, t_ns))
 
     def jump_counts(self, joint: int, t_ns: int) -> int:
         """Slip of the encoder by a `jump` fault at its first query, counts; else 0."""

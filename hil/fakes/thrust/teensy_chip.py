@@ -16,7 +16,7 @@ from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, Supported
-from hil.fakes.initial_support import Start, Tether
+from hil.fakes.initial_support import InitialSupport, Tether
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.world import World
@@ -82,7 +82,7 @@ class TeensyChip(SerialChip):
         self._tick_ns = _TICK_NS
         self.begin("tethered" if options.start == "by use" else options.start)
 
-    def begin(self, start: Start) -> None:
+    def begin(self, start: InitialSupport) -> None:
         """Set how the robot is held when the world starts."""
         self._tether = Tether(start, self._point.thrust_n)
         if start == "running":
