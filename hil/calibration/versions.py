@@ -42,7 +42,7 @@ class KeptVersion:
     in_place: bool
 
 
-class Shelf:
+class CalibrationVersions:
     """All versions of a calibration file.
 
     Args:
@@ -145,7 +145,7 @@ class Shelf:
         return KeptVersion(chosen.path, chosen.file, in_place=True)
 
 
-def shelve(
+def store_version(
     path: Path,
     result: Calibration,
     *,
@@ -166,7 +166,7 @@ def shelve(
         config: bench that it was made on.
         robot: robot that it belongs to.
     """
-    shelf = Shelf(path)
+    shelf = CalibrationVersions(path)
     kept = shelf.add(
         calibration_file(
             result,

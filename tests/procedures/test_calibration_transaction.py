@@ -8,7 +8,7 @@ from made_calibrations import CONFIG, made
 
 from hil.bench import open_bench
 from hil.calibration.calibration_file import read_calibration, save_calibration
-from hil.calibration.versions import Shelf
+from hil.calibration.versions import CalibrationVersions
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError
@@ -17,7 +17,7 @@ from hil.procedure import BenchSource
 
 @pytest.fixture
 def shelf(tmp_path):
-    return Shelf(tmp_path / "calibration.toml")
+    return CalibrationVersions(tmp_path / "calibration.toml")
 
 
 def radius(path):

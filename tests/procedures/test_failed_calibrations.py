@@ -7,7 +7,7 @@ import pytest
 from made_calibrations import made
 
 from hil.bench import open_bench
-from hil.calibration.versions import Shelf
+from hil.calibration.versions import CalibrationVersions
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
@@ -18,7 +18,7 @@ FLOOR = resources.files("hil.config.profiles").joinpath("emulated_floor.toml")
 
 @pytest.fixture
 def shelf(tmp_path):
-    return Shelf(tmp_path / "calibration.toml")
+    return CalibrationVersions(tmp_path / "calibration.toml")
 
 
 STANDS = """
