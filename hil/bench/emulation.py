@@ -20,7 +20,7 @@ from hil.config.several_devices import meant
 from hil.core.clock import MonotonicClock
 from hil.core.device import Connection
 from hil.core.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
-from hil.core.package_errors import OURS, PackageError, asked
+from hil.core.package_errors import OURS, PackageError, call_in_package
 from hil.core.registry import base_of, kinds
 from hil.core.signals import KINDS
 from hil.datasets.read import read_recordings
@@ -162,11 +162,13 @@ def emulated(
     given = config.imperfections(kind)
     request = EmulationRequest(kind, config.devices()[kind], given, world, name, standard_ports)
     if model.package != OURS:
-        options = asked(kind, model.package, "truth_options", model.truth_options)
+        options = call_in_package(kind, model.package, "truth_options", model.truth_options)
         if options is not None:
             request.options(options)
     with parts_of(world, kind, model), named(base_of(kind), kind):
-        device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, request)
+        device: EmulatedDevice | None = call_in_package(
+            kind, model.package, "emulate", model.emulate, request
+        )
     if device is None:
         raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
     return device
@@ -176,7 +178,7 @@ def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Cal
     """Call `connect` or `serve` of an emulated device, and check the result."""
     model = model_of(config, kind)
     with parts_of(world, kind, model), named(base_of(kind), kind):
-        found = asked(kind, model.package, f"{name}() of the emulated device", reach)
+        found = call_in_package(kind, model.package, f"{name}() of the emulated device", reach)
     if found is None:
         message = f"model {model.name} has no wire transport: serve() of the emulated device gave None"
         if name == "connect":

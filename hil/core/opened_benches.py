@@ -15,7 +15,7 @@ _GUARDS: list[Callable[[Any, Any], object]] = []
 
 
 @contextmanager
-def shown_to(function: Callable[[Any], object]) -> Iterator[None]:
+def on_bench_opened(function: Callable[[Any], object]) -> Iterator[None]:
     """Call `function` with every `hil.Bench` of the block, before its devices are opened.
 
     Of nested blocks only the innermost function is called.
@@ -28,7 +28,7 @@ def shown_to(function: Callable[[Any], object]) -> Iterator[None]:
 
 
 def show(bench: Any) -> None:
-    """Call the innermost function of `shown_to`, if there is one."""
+    """Call the innermost function of `on_bench_opened`, if there is one."""
     if _ASKED:
         _ASKED[-1](bench)
 
@@ -47,7 +47,7 @@ def guarded_by(function: Callable[[Any, Any], object]) -> Iterator[None]:
         _GUARDS.remove(function)
 
 
-def ask(given: Any, config: Any) -> None:
+def call_guard(given: Any, config: Any) -> None:
     """Call the innermost function of `guarded_by`, if there is one."""
     if _GUARDS:
         _GUARDS[-1](given, config)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.bench.hold.adhesion_force import RUN_DOWN_S, AdhesionForceCheck
-from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
+from hil.bench.hold.propeller_handover import PropellerObservation, least_push_n
 from hil.bench.loop_settings import adhesion_limits
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig, ThrustConfig
@@ -29,7 +29,7 @@ class Press:
         self.waiting, self.t_s = {"adhesion": [], "load_cells": [], "thrust": []}, 100.0
         self.alone = []
         rig = SimpleNamespace(get=self._device)
-        alone = LeftAlone(rig, propellers, limits.nominal_thrust_n)
+        alone = PropellerObservation(rig, propellers, limits.nominal_thrust_n)
         self.watch = AdhesionForceCheck(rig, limits, SimpleNamespace(timeout_s=TIMEOUT_S), alone)
         self.watch.begin(for_good=True)
 

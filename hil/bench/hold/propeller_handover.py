@@ -25,7 +25,7 @@ _BETTER = 1.2
 _HALVINGS = 8
 
 
-class LeftAlone:
+class PropellerObservation:
     """Observation time of propellers without feedback.
 
     Args:
