@@ -155,7 +155,7 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
             DeviceTimeoutError: the controller has been silent for `fail_after_s`.
         """
         commander = self._must_be_open()
-        samples: list[AdhesionSample] = self._link.heard()
+        samples: list[AdhesionSample] = self._link.read_samples()
         now_ns = self._clock.now_ns()
         if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
             raise self._silence("the fan's controller", lost_ns, "it lets go of the motor")

@@ -37,7 +37,7 @@ _OFTEN, _TOGETHER_NS = 4, 1_000_000_000
 """So many clock jumps within so long mean two nodes: one cannot restart in a quarter of a second."""
 
 
-class Seldom:
+class RateLimitedWarning:
     """Logs one kind of warning, at most once a second.
 
     Args:
@@ -91,7 +91,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     def _forget(self) -> None:
         self.malformed = self.incomplete = self.error_frames = self.passed_over = self.floods = 0
         self.restarted: deque[int] = deque(maxlen=_OFTEN)
-        self._say_restarted, self._say_malformed = Seldom(_LOG), Seldom(_LOG)
+        self._say_restarted, self._say_malformed = RateLimitedWarning(_LOG), RateLimitedWarning(_LOG)
 
     def open(self) -> None:
         """Load the DBC, open the bus and wait for complete sample sets.

@@ -33,7 +33,7 @@ from hil.drivers.tracker.librealsense_interface import (
     identity_of,
     realsense,
 )
-from hil.drivers.tracker.t265_settings import WheelVelocities, tell
+from hil.drivers.tracker.t265_settings import WheelVelocities, apply_settings
 from hil.links.device_clock import DeviceClock
 from hil.links.pose_jumps import JumpTest
 from hil.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
@@ -202,7 +202,7 @@ class T265Tracker(Sensor[TrackerSample]):
                 request.enable_device(serial)
             there = request.resolve(pipeline).get_device()
             in_real_time = self._clock.wall_offset() is not None
-            self._wheels = tell(there, library, self._config, self.name, beside=in_real_time)
+            self._wheels = apply_settings(there, library, self._config, self.name, beside=in_real_time)
             device = pipeline.start(request, self._take).get_device()
             found = identity_of(device, library, self.name)
         except DeviceError:

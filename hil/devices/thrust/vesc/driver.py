@@ -13,7 +13,7 @@ from hil.core.finding import Finding
 from hil.core.signals import Stamp, Status, ThrustSample
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.drivers.adhesion.can_motor import DaemonMotor
-from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
+from hil.drivers.adhesion.vesc_identity import BusReplies, discover_controllers
 from hil.drivers.adhesion.vesc_settings import Answers
 from hil.fan_daemon.commander import MakeCommander, finding
 from hil.fan_daemon.fan_control import SetPoint
@@ -70,7 +70,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
 
     def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, BusReplies, Answers]:
         answers = Answers()
-        seen = ask_who(self._link, motor, self._clock, answers)
+        seen = discover_controllers(self._link, motor, self._clock, answers)
         seen.key = "controller_ids"
         seen.check(self.name, self._link, motor, answers, spec)
         return motor, seen, answers
@@ -82,7 +82,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
             DeviceTimeoutError: a controller has been silent for `fail_after_s`.
         """
         self._must_be_open()
-        samples: list[ThrustSample] = self._link.heard()
+        samples: list[ThrustSample] = self._link.read_samples()
         now_ns = self._clock.now_ns()
         lost = {one: u.lost_ns(one in self._heard, now_ns) for one, u in self._usefulness.items()}
         self._heard.clear()
