@@ -16,7 +16,7 @@ from hil.bench.third_party.emulated import parts_of, wrapped_transport
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
-from hil.config.several_devices import meant
+from hil.config.several_devices import resolve_device
 from hil.core.clock import MonotonicClock
 from hil.core.device import Connection
 from hil.core.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
@@ -227,7 +227,7 @@ def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, .
     """Faults of a bench, each with the name of its device resolved."""
     labels = {name: label for name, label in config.labels().items() if label or name not in KINDS}
     read = read_faults((*config.emulation.faults, *given))
-    return tuple(replace(fault, device=meant(fault.device, labels)) for fault in read)
+    return tuple(replace(fault, device=resolve_device(fault.device, labels)) for fault in read)
 
 
 def check_faults(

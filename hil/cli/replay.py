@@ -118,7 +118,7 @@ def command(
         result["sensors"], result["note"] = sensors, sensors_text(opened.bench, sensors)
         motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         unknown = (line for name in estimators for line in unknown_states(name, motions[name]))
-        result["warnings"] = [*opened.doubts(), *unknown]
+        result["warnings"] = [*opened.warnings(), *unknown]
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
         unshown = _show(opened.bench, run, motions, view)
