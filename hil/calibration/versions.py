@@ -166,8 +166,8 @@ def store_version(
         config: bench that it was made on.
         robot: robot that it belongs to.
     """
-    shelf = CalibrationVersions(path)
-    kept = shelf.add(
+    versions = CalibrationVersions(path)
+    kept = versions.add(
         calibration_file(
             result,
             created=created,
@@ -177,4 +177,4 @@ def store_version(
             robot=robot,
         )
     )
-    return shelf.apply(kept.file.version, config) if verdict in PASSED else kept
+    return versions.apply(kept.file.version, config) if verdict in PASSED else kept

@@ -75,11 +75,11 @@ def apply_version(
 
     if (version is None) == (source is None):
         raise UsageError("which calibration?", expected="either --version N or --from FILE")
-    shelf, config = CalibrationVersions(file), configured(bench)
+    versions, config = CalibrationVersions(file), configured(bench)
     if source is not None:
-        return _done(shelf.adopt(read_calibration(source), str(source), config), file, as_json)
+        return _done(versions.adopt(read_calibration(source), str(source), config), file, as_json)
     assert version is not None
-    return _done(shelf.apply(version, config), file, as_json)
+    return _done(versions.apply(version, config), file, as_json)
 
 
 @command.command()

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-_ASKED: list[Callable[[Any], object]] = []
+_ON_OPENED: list[Callable[[Any], object]] = []
 _GUARDS: list[Callable[[Any, Any], object]] = []
 
 
@@ -20,17 +20,17 @@ def on_bench_opened(function: Callable[[Any], object]) -> Iterator[None]:
 
     Of nested blocks only the innermost function is called.
     """
-    _ASKED.append(function)
+    _ON_OPENED.append(function)
     try:
         yield
     finally:
-        _ASKED.remove(function)
+        _ON_OPENED.remove(function)
 
 
 def show(bench: Any) -> None:
     """Call the innermost function of `on_bench_opened`, if there is one."""
-    if _ASKED:
-        _ASKED[-1](bench)
+    if _ON_OPENED:
+        _ON_OPENED[-1](bench)
 
 
 @contextmanager

@@ -93,9 +93,9 @@ def test_the_result_is_kept_with_its_validation_and_installed(small):
         1e-3 * small.values["position_rmse_after"]
     )
     assert kept.made_for.drive_ids == (1, 2, 3, 4)
-    shelf = CalibrationVersions(small.result.folder.parent / "calibration.toml")
-    assert [(v.file.version, v.in_place) for v in shelf.versions()] == [(1, True)]
-    assert shelf.versions()[0].file.parameters == kept.parameters
+    versions = CalibrationVersions(small.result.folder.parent / "calibration.toml")
+    assert [(v.file.version, v.in_place) for v in versions.versions()] == [(1, True)]
+    assert versions.versions()[0].file.parameters == kept.parameters
 
 
 def test_the_report_holds_the_papers_tables_and_what_was_driven(small):
