@@ -202,19 +202,19 @@ class DeviceFaults:
         """Return the active fault of this kind, or None."""
         return None if self.plan.empty else self.plan.find(self._name, kind, t_ns)
 
-    def news(self, kind: str, t_ns: int) -> Fault | None:
+    def first_activation(self, kind: str, t_ns: int) -> Fault | None:
         """Return the active one-time fault of this kind at its first query, None at every later one."""
         return self._once.first_activation(kind, self.find(kind, t_ns))
 
     def restarted(self, t_ns: int) -> bool:
         """Return whether the device has just restarted after `reset` or `off`; call it at every step."""
         was_off, self._off = self._off, self.find("off", t_ns) is not None
-        return self.news("reset", t_ns) is not None or (was_off and not self._off)
+        return self.first_activation("reset", t_ns) is not None or (was_off and not self._off)
 
-    def slowness(self, t_ns: int) -> float:
+    def period_factor(self, t_ns: int) -> float:
         """Return the factor by which a `slow` fault stretches the output period; 1 without one."""
         fault = self.find("slow", t_ns)
-        return 1.0 if fault is None else fault.slowness
+        return 1.0 if fault is None else fault.period_factor
 
     def lateness_ns(self, t_ns: int) -> int:
         """Return the extra latency of the device's output under a `delayed` fault, ns."""
@@ -233,4 +233,4 @@ class DeviceFaults:
 
     def _hit(self, kind: str, t_ns: int) -> bool:
         fault = self.find(kind, t_ns)
-        return fault is not None and fault.strikes(self._rng)
+        return fault is not None and fault.hits(self._rng)

@@ -179,7 +179,7 @@ class CanChannel:
 
         def hit(kind: str) -> bool:
             fault = faults.get(kind)
-            return fault is not None and fault.strikes(self._rng)
+            return fault is not None and fault.hits(self._rng)
 
         if "unplug" in faults or hit("drop"):
             return None

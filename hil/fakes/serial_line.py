@@ -249,7 +249,7 @@ class SerialLine(Scheduled):
 
         def hit(kind: str) -> bool:
             fault = faults.find(self.chip.name, kind, t_ns)
-            return fault is not None and fault.strikes(self._rng)
+            return fault is not None and fault.hits(self._rng)
 
         if faults.find(self.chip.name, "unplug", t_ns) or hit("drop"):
             return ()

@@ -161,8 +161,8 @@ class NatNetServer(Scheduled):
             self._start(t_ns)
             self._due_ns = t_ns + _BOOT_NS
             return
-        slowness = 1.0 if faults is None else faults.slowness(t_ns)
-        self._due_ns = t_ns + round(NS_PER_S / options.rate_hz / self._stretch * slowness)
+        period_factor = 1.0 if faults is None else faults.period_factor(t_ns)
+        self._due_ns = t_ns + round(NS_PER_S / options.rate_hz / self._stretch * period_factor)
         self._number += 1
         hidden = faults is not None and faults.hidden(t_ns)
         seen = self._volume.see(self._world.plant.body(), t_ns, hidden)
