@@ -27,7 +27,7 @@ from hil.procedure.bench_fragment import NAME
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.tracking_errors import stand, tracking_errors
+from hil.procedure.tracking_errors import enable_hold, tracking_errors
 from hil.robot.trajectories import line
 
 if sys.version_info >= (3, 11):
@@ -62,7 +62,7 @@ def measured(seed: int, folder: Path) -> dict[str, Any]:
 def climbed(seed: int, overrides: dict[str, Any]) -> dict[str, float]:
     """Errors of the true pose on the way up, in mm and deg."""
     with open_bench("emulated", seed=seed, overrides=overrides) as bench:
-        start = stand(bench)
+        start = enable_hold(bench)
         reference = line(start, start + np.array([WAY_M, 0.0, 0.0]), duration_s=DURATION_S)
         return tracking_errors(bench.drive(reference, feedback="ekf", start_pose=start))
 

@@ -27,7 +27,7 @@ from hil.loop.driven_motion import Motion
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 THIRD = 1.0 / 3.0
@@ -85,7 +85,7 @@ def lines(seed: int, overrides: dict[str, object], way_m: float) -> list[list[fl
     found = []
     for direction in ((way_m, 0.0, 0.0), (0.0, way_m, 0.0)):
         with open_bench("emulated_delivered", seed=seed, overrides=overrides) as bench:
-            start = stand(bench)
+            start = enable_hold(bench)
             reference = line(start, start + np.array(direction), duration_s=20.0 * way_m)
             motion = bench.drive(reference, feedback="ekf", hold_s=1.0, start_pose=start)
             model = bench.config.estimator.wheels.model

@@ -163,7 +163,7 @@ def _defaults(room: str) -> dict[tuple[str, str], str]:
     texts |= {name: _source(name) for name in sorted(built_on)}
     for name, text in texts.items():
         module, kind = importlib.import_module(name), ""
-        if ".slowness" in text:
+        if ".period_factor" in text:
             found.setdefault(("slow", "factor"), SHARED["factor"])
         for match in _ASKED.finditer(text):
             asked, option, value, delay = match.groups()

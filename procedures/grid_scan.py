@@ -18,11 +18,11 @@ from hil.core.geometry import Array, ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.tracking_errors import (
     belief_figure,
+    check_references,
     coverage_figure,
+    enable_hold,
     error_figure,
-    refuse_what_cannot_be_followed,
     series,
-    stand,
     tracking_errors,
     unseen,
 )
@@ -124,7 +124,7 @@ def run(ctx: Context) -> None:
     p: Parameters = ctx.parameters
     with ctx.step("check the reference"):
         config = ctx.source.config
-        refuse_what_cannot_be_followed(config, [reference(p, config.environment.start_pose)])
+        check_references(config, [reference(p, config.environment.start_pose)])
     runs: dict[str, Any] = {p.feedback: ctx.checkpoint("scan", lambda: _drive(ctx, p, p.feedback))}
     if p.compare:
         runs["odometry"] = ctx.checkpoint("scan on odometry", lambda: _drive(ctx, p, "odometry"))
@@ -134,7 +134,7 @@ def run(ctx: Context) -> None:
 
 def _drive(ctx: Context, p: Parameters, feedback: str) -> dict[str, Any]:
     bench = ctx.reopen(feedback)
-    start = stand(bench)
+    start = enable_hold(bench)
     motion = bench.drive(
         reference(p, start), controller=p.law, feedback=feedback, hold_s=p.hold_s, start_pose=start
     )

@@ -25,13 +25,7 @@ from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.record_parts import known_parts
-from hil.procedure.tracking_errors import (
-    REFERENCE_M,
-    refuse_what_cannot_be_followed,
-    stand,
-    tracking_errors,
-    unseen,
-)
+from hil.procedure.tracking_errors import REFERENCE_M, check_references, enable_hold, tracking_errors, unseen
 from hil.procedure.worker_processes import Workers
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
@@ -177,7 +171,7 @@ def run(ctx: Context) -> None:
     """The same lines on the wall with nothing known of the robot, with each part, with everything."""
     p: Parameters = ctx.parameters
     config = ctx.source.config
-    refuse_what_cannot_be_followed(config, references(p, config))
+    check_references(config, references(p, config))
     settings = _settings(p, config)
     jobs = [(setting, case) for setting in settings for case in p.cases]
     lines: list[Driven] = []
@@ -204,7 +198,7 @@ def drive(bench: Bench, case: str, p: Parameters, *, may_stop: bool) -> Driven:
         may_stop: whether a failed check of sensor data ends only the line and not the run: true if not all
             parts are known, as such a line is not judged.
     """
-    start = stand(bench)
+    start = enable_hold(bench)
     way = reference(case, p, start)
     records: list[CycleRecord] = []
     try:

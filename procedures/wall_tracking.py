@@ -24,11 +24,11 @@ from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.tracking_errors import (
     REFERENCE_M,
     belief_figure,
+    check_references,
+    enable_hold,
     error_figure,
     path_figure,
-    refuse_what_cannot_be_followed,
     series,
-    stand,
     tracking_errors,
     unseen,
 )
@@ -191,7 +191,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
     """Drive one case on a fresh bench; return its errors and series as JSON values."""
-    start = stand(bench)
+    start = enable_hold(bench)
     motion = bench.drive(
         reference(one.case, p, start),
         controller=one.law,
@@ -227,7 +227,7 @@ def run(ctx: Context) -> None:
     """Wall tracking with feedback from odometry, EKF and UKF."""
     p: Parameters = ctx.parameters
     with ctx.step("check the references"):
-        refuse_what_cannot_be_followed(ctx.source.config, references(p, ctx.source.config))
+        check_references(ctx.source.config, references(p, ctx.source.config))
         for number in range(1, p.seeds):
             _ = ctx.source.changed(seed=ctx.seed + number).config
     worlds: list[World] = []
@@ -256,9 +256,9 @@ def one_world(ctx: Context, seed: int, found: World) -> World:
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(seed=seed)
-        errands = [DriveJob(source, partial(drive, one=one, p=p), _label(one, seed)) for one in jobs]
+        drive_jobs = [DriveJob(source, partial(drive, one=one, p=p), _label(one, seed)) for one in jobs]
         with Workers(min(p.processes, len(jobs))) as workers:
-            for one, result in zip(jobs, ctx.at_once(errands, workers), strict=True):
+            for one, result in zip(jobs, ctx.at_once(drive_jobs, workers), strict=True):
                 _take(ctx, seed, found, one, result)
     else:
         for one in jobs:

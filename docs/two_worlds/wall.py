@@ -9,7 +9,7 @@ import numpy as np
 from two_worlds.results import Row
 
 from hil import open_bench
-from hil.procedure.tracking_errors import stand, tracking_errors
+from hil.procedure.tracking_errors import enable_hold, tracking_errors
 from hil.replay.estimator_comparison import consistency
 from hil.robot.trajectories import line
 
@@ -35,7 +35,7 @@ def keys(seeds: int) -> Iterator[Row]:
 def drive(world: str, case: str, feedback: str, seed: int) -> Row:
     """One drive of 1.5 m in 30 s on a bench of its own: errors of the true pose, mm and deg, and NEES."""
     with open_bench("emulated", seed=seed, overrides=WORLDS[world]) as bench:
-        start = stand(bench)
+        start = enable_hold(bench)
         goal = line(start, start + np.array(GOALS[case]), duration_s=30.0)
         motion = bench.drive(goal, feedback=feedback, hold_s=2.0, start_pose=start)
         errors = tracking_errors(motion)

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core.signals import Status
 from hil.procedure import Context, Measurement, procedure
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 _MEAN_OF, _UP = 20, np.array([0.05, 0.0, 0.0])
@@ -21,7 +21,7 @@ _MEAN_OF, _UP = 20, np.array([0.05, 0.0, 0.0])
 )
 def run(ctx: Context) -> None:
     """Drive 5 cm up and measure by how much the plate has come nearer."""
-    start = stand(ctx.bench)
+    start = enable_hold(ctx.bench)
     with ctx.step("drive"):
         motion = ctx.bench.drive(line(start, start + _UP, duration_s=2.0), start_pose=start, hold_s=0.5)
     samples = [s for record in motion.records for s in record.inputs.of("rangefinder")]

@@ -15,7 +15,7 @@ _NEAR_M, _NEAR_RAD = 0.02, math.radians(5.0)
 """Tolerated start error of a robot placed by hand. The laws correct it with up to 5 m/s per metre, that is
 with 0.1 m/s, below the largest commanded wheel speed (`control.wheel_speed_m_s`, 0.122 m/s)."""
 _REMEDY = (
-    "begin where it stands: in Python with start = hil.procedure.tracking_errors.stand(bench) and "
+    "begin where it stands: in Python with start = hil.procedure.tracking_errors.enable_hold(bench) and "
     "line(start, ...), or put the robot there; where no motion capture sees it, say where it stands "
     "(--start x,y,theta)"
 )

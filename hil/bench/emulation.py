@@ -16,11 +16,11 @@ from hil.bench.third_party.emulated import parts_of, wrapped_transport
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
-from hil.config.several_devices import meant
+from hil.config.several_devices import resolve_device
 from hil.core.clock import MonotonicClock
 from hil.core.device import Connection
 from hil.core.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
-from hil.core.package_errors import OURS, PackageError, asked
+from hil.core.package_errors import OURS, PackageError, call_in_package
 from hil.core.registry import base_of, kinds
 from hil.core.signals import KINDS
 from hil.datasets.read import read_recordings
@@ -162,11 +162,13 @@ def emulated(
     given = config.imperfections(kind)
     request = EmulationRequest(kind, config.devices()[kind], given, world, name, standard_ports)
     if model.package != OURS:
-        options = asked(kind, model.package, "truth_options", model.truth_options)
+        options = call_in_package(kind, model.package, "truth_options", model.truth_options)
         if options is not None:
             request.options(options)
     with parts_of(world, kind, model), named(base_of(kind), kind):
-        device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, request)
+        device: EmulatedDevice | None = call_in_package(
+            kind, model.package, "emulate", model.emulate, request
+        )
     if device is None:
         raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
     return device
@@ -176,7 +178,7 @@ def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Cal
     """Call `connect` or `serve` of an emulated device, and check the result."""
     model = model_of(config, kind)
     with parts_of(world, kind, model), named(base_of(kind), kind):
-        found = asked(kind, model.package, f"{name}() of the emulated device", reach)
+        found = call_in_package(kind, model.package, f"{name}() of the emulated device", reach)
     if found is None:
         message = f"model {model.name} has no wire transport: serve() of the emulated device gave None"
         if name == "connect":
@@ -225,7 +227,7 @@ def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, .
     """Faults of a bench, each with the name of its device resolved."""
     labels = {name: label for name, label in config.labels().items() if label or name not in KINDS}
     read = read_faults((*config.emulation.faults, *given))
-    return tuple(replace(fault, device=meant(fault.device, labels)) for fault in read)
+    return tuple(replace(fault, device=resolve_device(fault.device, labels)) for fault in read)
 
 
 def check_faults(

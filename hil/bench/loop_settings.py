@@ -22,7 +22,7 @@ from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import Clock, MonotonicClock
 from hil.core.geometry import Array
-from hil.core.package_errors import OURS, asked
+from hil.core.package_errors import OURS, call_in_package
 from hil.core.registry import kinds
 from hil.datasets.nominal_robot import Nominal
 from hil.loop.alignment import AlignmentParameters
@@ -76,7 +76,9 @@ def safety_limits(config: BenchConfig) -> SafetyLimits:
     limits_s: dict[str, float | None] = {}
     for name, own in config.devices().items():
         kind = kinds()[name]
-        limits_s[name] = asked(name, kind.package, "stale_after_s", kind.stale_after_s, config.safety, own)
+        limits_s[name] = call_in_package(
+            name, kind.package, "stale_after_s", kind.stale_after_s, config.safety, own
+        )
     return SafetyLimits(
         **values,
         stale_s={name: limit_s for name, limit_s in limits_s.items() if limit_s is not None},
@@ -132,7 +134,7 @@ def healthy(config: BenchConfig) -> dict[str, Healthy]:
     for name, own in config.devices().items():
         kind = kinds()[name]
         if not kind.moves_robot:
-            rate_hz = asked(name, kind.package, "rate_hz", kind.rate_hz, own, loop_hz)
+            rate_hz = call_in_package(name, kind.package, "rate_hz", kind.rate_hz, own, loop_hz)
             found[name] = Healthy(
                 rate_hz, kind.min_delivered, kind.max_age_s + _CYCLES_LATE / loop_hz, loop_hz
             )

@@ -77,7 +77,7 @@ def open_bench(
     if start_pose is not None:
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
-    opened_benches.ask(config, checked)
+    opened_benches.call_guard(config, checked)
     model = _model(with_wheel_sigma(checked), calibration, int(seed))
     bench = _put_together(model, planned_faults(model.config, faults), sinks, realtime=realtime)
     opened_benches.show(bench)

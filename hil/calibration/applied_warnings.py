@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hil.calibration.calibration_file import CalibrationFile
-from hil.datasets.copies import same_wheels, wheels_in_short
+from hil.datasets.copies import same_wheels, wheel_fingerprint
 from hil.datasets.dataset import Recording
 
 
@@ -53,7 +53,7 @@ def in_sample(file: CalibrationFile, recordings: Sequence[Recording]) -> InSampl
     """
     digests = {digest for used in file.recordings.values() for digest in _digests(used.get("sha256"))}
     wheels = [numbers for used in file.recordings.values() if (numbers := _numbers(used.get("wheels")))]
-    short = [wheels_in_short(r) for r in recordings]
+    short = [wheel_fingerprint(r) for r in recordings]
     names = tuple(
         r.name
         for r, own in zip(recordings, short, strict=True)

@@ -151,7 +151,7 @@ class Calibration:
             "at_bound": list(self.spectrum.at_bound),
             "unobservable": list(self.spectrum.unobservable),
             "determined_directions": self.spectrum.determined,
-            "determined_without_contact_law": self.spectrum.whatever_the_model,
+            "determined_without_contact_law": self.spectrum.determined_without_contact_law,
             "directions": list(self.spectrum.directions),
             "singular_values": self.spectrum.singular_values.tolist(),
             "information": self.spectrum.information.tolist(),
@@ -266,7 +266,7 @@ def calibrate(
 
 def _intervals(found: Fit, cad: WheelGeometry, rivals: Sequence[Fit]) -> StandardErrors:
     """Standard errors of a fit, widened by the differences to the fits of rival models."""
-    return standard_errors(found, cad).beside(
+    return standard_errors(found, cad).with_rival_models(
         found.solution.z, [(other.solution.z, standard_errors(other, cad)) for other in rivals]
     )
 

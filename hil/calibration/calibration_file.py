@@ -29,7 +29,7 @@ from hil.calibration.parameters import (
 from hil.config.robot_record.parts import Identity
 from hil.core.errors import ConfigError, reason_of
 from hil.core.geometry import Array
-from hil.datasets.copies import wheels_in_short
+from hil.datasets.copies import wheel_fingerprint
 from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.support.atomic_files import put_whole
 from hil.support.file_reading import read_toml
@@ -64,7 +64,7 @@ class CalibrationFile(BaseModel):
 
     Attributes:
         recordings: recordings of the fit, by name: motion, digests of the files, wheels
-            (`hil.datasets.copies.wheels_in_short`) and weight.
+            (`hil.datasets.copies.wheel_fingerprint`) and weight.
         verdict: verdict of the validation run on the bench; empty without such a run.
         made_for: servos that it was made with, None for recordings of unknown origin.
         robot: robot that it belongs to; None where the bench is not known.
@@ -202,7 +202,7 @@ def calibration_file(
             r.name: {
                 "motion": r.motion,
                 "sha256": list(r.sha256),
-                "wheels": wheels_in_short(r),
+                "wheels": wheel_fingerprint(r),
                 "weight": float(w),
             }
             for r, w in zip(result.recordings, result.fit.problem.weights, strict=True)

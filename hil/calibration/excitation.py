@@ -16,7 +16,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks
 from hil.datasets.nominal_robot import Nominal, lever_m
-from hil.datasets.wrong_signs import LOOK
+from hil.datasets.wrong_signs import CHECK_COLUMNS
 from hil.robot.kinematics import WheelGeometry
 
 DIRECTIONS = ("forward", "sideways", "turning")
@@ -24,7 +24,7 @@ _SHARE, _OWN_SHARE = 0.05, 0.2
 _WORTH_M, _WORTH_RAD = 0.3, 1.0
 _PLAUSIBLE = 0.2
 BENCH_FILE = "name the robot's bench file with --bench, or correct its [robot] section"
-OTHER_ROBOT = f"{BENCH_FILE}; else {LOOK}"
+OTHER_ROBOT = f"{BENCH_FILE}; else {CHECK_COLUMNS}"
 """Remedy where distances do not fit the robot: check the geometry first, then the columns."""
 
 

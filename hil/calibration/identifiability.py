@@ -99,8 +99,8 @@ class Identifiability:
         singular_values: RMS pose error (mm and mrad mixed) per 1 % of a length or 1 deg of an offset.
         information: data information over prior information per direction, largest first.
         determined: number of directions whose information exceeds the prior's.
-        whatever_the_model: number of directions that plain kinematics determine; the others depend on the
-            contact law of the forward model.
+        determined_without_contact_law: number of directions that plain kinematics determine; the others
+            depend on the contact law of the forward model.
         directions: the determined directions in words.
         at_bound: parameters on the box, or so near to it that the box decides them.
         unobservable: parameters whose standard deviation the data reduce by less than a tenth.
@@ -110,7 +110,7 @@ class Identifiability:
     singular_values: Array
     information: Array
     determined: int
-    whatever_the_model: int
+    determined_without_contact_law: int
     directions: tuple[str, ...]
     at_bound: tuple[str, ...]
     unobservable: tuple[str, ...]
@@ -138,7 +138,7 @@ def identifiability(fit: Fit) -> Identifiability:
         singular_values=spectrum,
         information=values,
         determined=determined,
-        whatever_the_model=min(determined, _without_a_law(fit)),
+        determined_without_contact_law=min(determined, _without_a_law(fit)),
         directions=tuple(_in_words(vectors[:, k] * spread, unit) for k in range(determined)),
         at_bound=tuple(n for n, b in zip(names, problem.at_bound(z), strict=True) if b),
         unobservable=tuple(n for n, r in zip(names, ratio, strict=True) if r > _PRIOR_ONLY),
@@ -207,7 +207,7 @@ class StandardErrors:
         variance = np.einsum("aij,ab,bij->ij", slopes, self.covariance, slopes)
         return np.asarray(np.sqrt(variance), dtype=np.float64)
 
-    def beside(self, z: Array, others: Sequence[tuple[Array, StandardErrors]]) -> StandardErrors:
+    def with_rival_models(self, z: Array, others: Sequence[tuple[Array, StandardErrors]]) -> StandardErrors:
         """Standard errors where other forward models may be as right; each counts as equally likely.
 
         Args:

@@ -62,7 +62,7 @@ class Law:
         return cls(kinds[name], np.array(tyres.load), power, tyres.creep_ratio)
 
 
-def settled(
+def solve_motion(
     kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, last: Triple, start: int
 ) -> Triple:
     """Body motion of u (8, ...); starts from `last` if `start` is WARM, and returns `last` if KNOWN."""
@@ -90,7 +90,7 @@ def mean_motion(z: Array, u: Array) -> Triple:
     return vx, vy, turn
 
 
-def respond(
+def motion_derivative(
     kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, b: Triple, out: Array
 ) -> None:
     """Fill `out` (3, m), or (3, m, n) for n steps, with the derivative of the motion b by z.
@@ -164,7 +164,7 @@ def put_column(
 
 
 def mean_response(z: Array, u: Array, out: Array) -> None:
-    """`respond` for `mean_motion`; `out` (3, m, ...)."""
+    """`motion_derivative` for `mean_motion`; `out` (3, m, ...)."""
     for i in range(4):
         x, y, r, ux, uy = z[i], z[4 + i], z[8 + i], u[2 * i], u[2 * i + 1]
         far = x * x + y * y
@@ -215,13 +215,13 @@ class Motions:
         """Body displacement (n, 3) per block and its derivative (3, len(z), n)."""
         u, law = self._settle(z), self.law
         out = np.empty((3, len(z), len(self.wheel_rad)))
-        respond(law.kind, law.load, law.power, law.ratio, z, u, tuple(self.last), out)
+        motion_derivative(law.kind, law.load, law.power, law.ratio, z, u, tuple(self.last), out)
         return np.ascontiguousarray(self.last.T), out
 
     def _settle(self, z: Array) -> Array:
         law, u = self.law, np.empty((8, len(self.wheel_rad)))
         roll(turned_wheels(z), np.ascontiguousarray(self.wheel_rad.T), u)
-        b = settled(law.kind, law.load, law.power, law.ratio, z, u, tuple(self.last), self.start(z))
+        b = solve_motion(law.kind, law.load, law.power, law.ratio, z, u, tuple(self.last), self.start(z))
         self.last = np.array(b)
         return u
 

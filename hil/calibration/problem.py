@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hil.calibration.evaluation import turned_wheels
 from hil.calibration.motion_models import Motions, make_model
-from hil.calibration.residual_pass import Contacts, Driven, Reckoned, load_pass, run_pass
+from hil.calibration.residual_pass import Contacts, PassInputs, PassResults, load_pass, run_pass
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.datasets.blocks import Blocks
@@ -32,7 +32,7 @@ _REACH = 10.0
 _BOUND_SLACK = 1e-3
 
 
-class Known:
+class CostCache:
     """Cache of costs and terms at the last parameters, and work arrays; shared where only weights differ."""
 
     def __init__(self) -> None:
@@ -40,9 +40,9 @@ class Known:
         self._terms: tuple[Array, Terms] | None = None
         self._rows: tuple[Array, Array] | None = None
 
-    def under_another_law(self) -> Known:
+    def emptied(self) -> CostCache:
         """An empty cache with the same work arrays."""
-        other = Known()
+        other = CostCache()
         other._rows = self._rows
         return other
 
@@ -158,7 +158,7 @@ class Problem:
         half = _REACH * self.prior_std if setting.bounds is None else setting.bounds * self.sizes
         self.lower, self.upper = self.nominal - half, self.nominal + half
         self.weights = np.ones(len(blocks.names))
-        self._count, self._known = [0], Known()
+        self._count, self._known = [0], CostCache()
         self._model: Motions = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8), nominal)
         self._scale = self._row_scale()
 
@@ -190,7 +190,7 @@ class Problem:
         """The same problem with another friction exponent: 2 is least squares, 1 is Coulomb's law."""
         other = copy.copy(self)
         other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), self.tyres, power)
-        other._known = self._known.under_another_law()
+        other._known = self._known.emptied()
         return other
 
     def errors(self, z: Array) -> Array:
@@ -257,10 +257,10 @@ class Problem:
         blocks, model, law = self.blocks, self._model, self._model.law
         errors, slopes = self._known.rows(self.blocks.truth.shape, len(z))
         contacts = Contacts(law.kind, law.load, law.power, law.ratio)
-        driven = Driven(
+        driven = PassInputs(
             blocks.wheel_rad, blocks.start, blocks.truth, blocks.known, blocks.counts, self._scale
         )
-        reckoned = Reckoned(model.last, errors, slopes if with_slopes else slopes[:0])
+        reckoned = PassResults(model.last, errors, slopes if with_slopes else slopes[:0])
         run_pass(contacts, z, turned_wheels(z), model.start(z), driven, reckoned)
         return errors, slopes
 

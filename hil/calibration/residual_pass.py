@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from hil.calibration import motion_models
 from hil.calibration.evaluation import roll
-from hil.calibration.motion_models import COLD, FRICTION, respond, settled
+from hil.calibration.motion_models import COLD, FRICTION, motion_derivative, solve_motion
 from hil.core.geometry import Array, Bools
 from hil.robot import contact_laws
 from hil.robot.odometry import chord, chord_slopes
@@ -27,7 +27,7 @@ _PARTS = (
     *(contact_laws.with_contact, contact_laws.creep_stiffness, contact_laws.creep_balance),
     *(contact_laws.inverse3, contact_laws.times),
     *(motion_models.mean_motion, motion_models.contact_response, motion_models.put_column),
-    *(motion_models.mean_response, respond, settled, roll, chord, chord_slopes),
+    *(motion_models.mean_response, motion_derivative, solve_motion, roll, chord, chord_slopes),
 )
 """Functions that a pass calls; numpy also runs them on arrays."""
 for _plain in _PARTS:
@@ -47,7 +47,7 @@ class Contacts(NamedTuple):
     ratio: float
 
 
-class Driven(NamedTuple):
+class PassInputs(NamedTuple):
     """Recorded data.
 
     Attributes:
@@ -67,7 +67,7 @@ class Driven(NamedTuple):
     scale: Array
 
 
-class Reckoned(NamedTuple):
+class PassResults(NamedTuple):
     """Arrays that a pass fills.
 
     Attributes:
@@ -82,7 +82,9 @@ class Reckoned(NamedTuple):
 
 
 @kernel
-def run_pass(law: Contacts, z: Array, turned: Array, start: int, driven: Driven, reckoned: Reckoned) -> None:
+def run_pass(
+    law: Contacts, z: Array, turned: Array, start: int, driven: PassInputs, reckoned: PassResults
+) -> None:
     """Fill scaled pose errors and their derivatives.
 
     Args:
@@ -104,12 +106,12 @@ def run_pass(law: Contacts, z: Array, turned: Array, start: int, driven: Driven,
         for k in range(counts[r]):
             at = r * wheel_rad.shape[1] + k
             roll(turned, wheel_rad[r, k], u)
-            b = settled(kind, load, power, ratio, z, u, (last[0, at], last[1, at], last[2, at]), start)
+            b = solve_motion(kind, load, power, ratio, z, u, (last[0, at], last[1, at], last[2, at]), start)
             last[0, at], last[1, at], last[2, at] = b
             c, s = chord(theta, b[2])
             way_x, way_y = c * b[0] - s * b[1], s * b[0] + c * b[1]
             if wanted:
-                respond(kind, load, power, ratio, z, u, b, moved)
+                motion_derivative(kind, load, power, ratio, z, u, b, moved)
                 by_x, by_y = chord_slopes(theta, b)
                 for i in range(size):
                     mx, my, mt = moved[0, i], moved[1, i], moved[2, i]
@@ -133,6 +135,6 @@ def load_pass() -> None:
     """Load the compiled code of `run_pass`, or compile it where none is cached."""
     law, one = Contacts(FRICTION, np.ones(4), 1.0, 1.0), np.zeros((1, 1, 3))
     known, counts = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.int64)
-    driven = Driven(np.zeros((1, 1, 8)), np.zeros((1, 3)), one, known, counts, np.ones((1, 3)))
-    reckoned = Reckoned(np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)))
+    driven = PassInputs(np.zeros((1, 1, 8)), np.zeros((1, 3)), one, known, counts, np.ones((1, 3)))
+    reckoned = PassResults(np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)))
     compile_for(run_pass, law, np.ones(16), np.ones((2, 4)), COLD, driven, reckoned)

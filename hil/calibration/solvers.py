@@ -19,7 +19,7 @@ from hil.calibration.problem import Problem
 from hil.core.choices import METHODS
 from hil.core.errors import UsageError
 from hil.core.geometry import Array
-from hil.support.extras import how_to_install, lacks
+from hil.support.extras import how_to_install, why_unusable
 
 Progress = Callable[[int, int], None]
 
@@ -218,7 +218,7 @@ def _searched(
     method: str, objective: Callable[[Array], float], dimension: int, seed: int, progress: Progress | None
 ) -> tuple[Array, int]:
     """Best point (d,) of pymoo's GA or PSO, in prior standard deviations, and the number of generations."""
-    if why := lacks("paper"):
+    if why := why_unusable("paper"):
         raise UsageError(f"method {method!r} needs the extra paper: {why}", remedy=how_to_install("paper"))
     from pymoo.algorithms.soo.nonconvex.ga import GA
     from pymoo.algorithms.soo.nonconvex.pso import PSO

@@ -42,7 +42,7 @@ class KeptVersion:
     in_place: bool
 
 
-class Shelf:
+class CalibrationVersions:
     """All versions of a calibration file.
 
     Args:
@@ -145,7 +145,7 @@ class Shelf:
         return KeptVersion(chosen.path, chosen.file, in_place=True)
 
 
-def shelve(
+def store_version(
     path: Path,
     result: Calibration,
     *,
@@ -166,8 +166,8 @@ def shelve(
         config: bench that it was made on.
         robot: robot that it belongs to.
     """
-    shelf = Shelf(path)
-    kept = shelf.add(
+    versions = CalibrationVersions(path)
+    kept = versions.add(
         calibration_file(
             result,
             created=created,
@@ -177,4 +177,4 @@ def shelve(
             robot=robot,
         )
     )
-    return shelf.apply(kept.file.version, config) if verdict in PASSED else kept
+    return versions.apply(kept.file.version, config) if verdict in PASSED else kept

@@ -17,7 +17,7 @@ from hil.datasets.initial_rest import start_of
 from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S
 from hil.datasets.time_offset import different_clocks
-from hil.datasets.wrong_signs import LOOK, contradictions
+from hil.datasets.wrong_signs import CHECK_COLUMNS, contradictions
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
 
@@ -84,7 +84,7 @@ def caveats(
     total = len(found.solution.z)
     out.append(
         f"the data determine {spectrum.determined} directions of the {total} parameters, "
-        f"{spectrum.whatever_the_model} without a law of contact: the others depend on the model "
+        f"{spectrum.determined_without_contact_law} without a law of contact: the others depend on the model "
         f"{found.problem.setting.model}; single parameters are effective values, only their "
         "combinations are measured"
     )
@@ -107,7 +107,7 @@ def motions_apart(found: Fit) -> list[str]:
     for motion, weight in zip(found.problem.blocks.motions, found.problem.weights, strict=True):
         weights.setdefault(motion, []).append(float(weight))
     return [
-        f"{motion}: none of its recordings fits those of other motions, so they hardly count; {LOOK}"
+        f"{motion}: none of its recordings fits those of other motions, so they hardly count; {CHECK_COLUMNS}"
         for motion, own in weights.items()
         if len(own) > 1 and max(own) < HARDLY
     ]
@@ -142,7 +142,7 @@ def unexplained(found: Fit) -> list[str]:
         return []
     return [
         f"the result does not explain the recordings: {100 * share:.0f} % of the way is left as error in "
-        f"the typical one; do not use it, {LOOK}"
+        f"the typical one; do not use it, {CHECK_COLUMNS}"
     ]
 
 

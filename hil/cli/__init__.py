@@ -22,7 +22,7 @@ from hil.cli.output import Answered, Output, error_as_json, print_user_calls
 from hil.core.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
 from hil.core.errors import error_text as in_a_line
 from hil.support.file_reading import printable
-from hil.support.stop_signals import deaf_from_now_on
+from hil.support.stop_signals import ignore_stop_signals
 
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.
@@ -164,5 +164,5 @@ def script() -> None:
         code = _complete(asked_by_shell) if asked_by_shell else main()
     except Aborted:  # the error message cannot be written either
         code = EXIT_ABORTED
-    deaf_from_now_on()
+    ignore_stop_signals()
     sys.exit(code if output.finish() else EXIT_ABORTED)

@@ -182,7 +182,7 @@ def _text(result: Calibration) -> str:
     lines.append("singular values: " + " ".join(f"{v:.3g}" for v in spectrum.singular_values))
     lines.append(
         f"the data determine {spectrum.determined} directions of {len(result.fit.solution.z)} parameters, "
-        f"{spectrum.whatever_the_model} of them without a law of contact:"
+        f"{spectrum.determined_without_contact_law} of them without a law of contact:"
     )
     lines += [f"  {words}" for words in spectrum.directions]
     if result.validation:

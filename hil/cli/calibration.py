@@ -37,10 +37,10 @@ def list_versions(file: Path, as_json: bool) -> int:
 
     Example: hil calibration list calibration.toml
     """
-    from hil.calibration.versions import Shelf
+    from hil.calibration.versions import CalibrationVersions
     from hil.core.errors import ConfigError
 
-    versions = [_described(v) for v in Shelf(file).versions()]
+    versions = [_described(v) for v in CalibrationVersions(file).versions()]
     if not versions:
         raise ConfigError(f"{file}: no calibration and no version of one", remedy="run odometry_calibration")
     if as_json:
@@ -70,16 +70,16 @@ def apply_version(
     Example: hil calibration apply calibration.toml --version 3
     """
     from hil.calibration.calibration_file import read_calibration
-    from hil.calibration.versions import Shelf
+    from hil.calibration.versions import CalibrationVersions
     from hil.core.errors import UsageError
 
     if (version is None) == (source is None):
         raise UsageError("which calibration?", expected="either --version N or --from FILE")
-    shelf, config = Shelf(file), configured(bench)
+    versions, config = CalibrationVersions(file), configured(bench)
     if source is not None:
-        return _done(shelf.adopt(read_calibration(source), str(source), config), file, as_json)
+        return _done(versions.adopt(read_calibration(source), str(source), config), file, as_json)
     assert version is not None
-    return _done(shelf.apply(version, config), file, as_json)
+    return _done(versions.apply(version, config), file, as_json)
 
 
 @command.command()
@@ -92,9 +92,9 @@ def rollback(file: Path, version: int | None, bench: str | None, as_json: bool) 
 
     Example: hil calibration rollback calibration.toml
     """
-    from hil.calibration.versions import Shelf
+    from hil.calibration.versions import CalibrationVersions
 
-    return _done(Shelf(file).rollback(version, configured(bench)), file, as_json)
+    return _done(CalibrationVersions(file).rollback(version, configured(bench)), file, as_json)
 
 
 def _done(kept: KeptVersion, file: Path, as_json: bool) -> int:

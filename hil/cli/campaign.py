@@ -108,7 +108,7 @@ def command(
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
     from hil.procedure.campaign import check_dask, expand, parse_axis, parse_seeds
-    from hil.procedure.campaign.plan_file import alone_in, check, keep_plan
+    from hil.procedure.campaign.plan_file import check, keep_plan, locked_folder
     from hil.procedure.campaign.run_case import Setup
     from hil.procedure.procedure_lookup import load_procedure
 
@@ -147,7 +147,7 @@ def command(
             raise UsageError("--resume needs the folder of the campaign", remedy="name it with --out")
         out = Path("out") / f"campaign_{proc.name}" / datetime.now().strftime("%Y%m%d-%H%M%S")
     out = out.absolute()
-    with alone_in(out, resume=resume):
+    with locked_folder(out, resume=resume):
         keep_plan(out, proc, setup, cases, resume=resume)
         done: dict[Case, Row] = {}
 
@@ -242,7 +242,7 @@ def _run(
             away = replace(setup, places=parcel.places)
             spread(
                 run_case_elsewhere,
-                [replace(j, setup=away, luggage=parcel.name) for j in missing],
+                [replace(j, setup=away, input_files=parcel.name) for j in missing],
                 lost=lambda job, reason: Delivery(lost(job, reason)),
                 done=lambda got: done(arrived(got)),
                 scheduler=scheduler,

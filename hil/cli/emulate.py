@@ -155,7 +155,7 @@ def command(
     from hil.cli.emulate import PortLinks
     from hil.cli.endpoints_file import EndpointsFile, await_endpoints
     from hil.config.loading import NoSuchDevice, load_bench
-    from hil.config.several_devices import meant
+    from hil.config.several_devices import resolve_device
 
     if awaited is not None:
         click.echo(await_endpoints(awaited, _PATIENCE_S), nl=False)
@@ -170,7 +170,7 @@ def command(
             expected="some of " + ", ".join(error.present),
             remedy=error.remedy,
         ) from None
-    names = tuple(meant(word, config.labels()) for word in said)
+    names = tuple(resolve_device(word, config.labels()) for word in said)
     descriptor = sys.stdin.fileno() if lifeline or await_start else None
     server = open_emulation(
         config,

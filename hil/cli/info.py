@@ -17,7 +17,7 @@ from hil.core.errors import EXIT_PASS, EXIT_USAGE, HilError
 from hil.core.registry import kinds
 from hil.procedure.worker_processes import Workers
 from hil.support.arithmetic_fingerprint import fingerprint
-from hil.support.extras import MODULES, lacks, packages
+from hil.support.extras import MODULES, packages, why_unusable
 from hil.support.progress import Report
 from hil.support.versions import version_of
 
@@ -54,7 +54,7 @@ def _load(part: str) -> None:
 
 def _compile(report: Report) -> None:
     """Compile all kernels in two processes, those that others contain first."""
-    plants = ["own"] if lacks("mujoco") else ["own", "mujoco"]
+    plants = ["own"] if why_unusable("mujoco") else ["own", "mujoco"]
     rounds = (["filter", "calibration"], [plants[0], "unscented filter", "smoother", *plants[1:]])
     done, parts = 0, sum(map(len, rounds))
     report(_COMPILING, done, parts)
@@ -90,7 +90,7 @@ def command(compiling: bool, as_json: bool) -> int:
         with reporting(quiet=as_json) as report:
             _compile(report)
     found = {name: version_of(name) for name in packages()}
-    missing = {name: lacks(name) for name in MODULES}
+    missing = {name: why_unusable(name) for name in MODULES}
     host = platform.platform()
     devices, problem = dict[str, list[dict[str, str]]](), ""
     try:

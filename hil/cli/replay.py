@@ -90,7 +90,7 @@ def command(
 
     Example: hil replay recording.mcap --page replay.html --estimator ekf --estimator mine.py:MyFilter
     """
-    from hil.core.signals import heard
+    from hil.core.signals import sensors_with_samples
     from hil.replay.estimator_comparison import sensors_text
     from hil.replay.recordings import open_recording
     from hil.replay.user_estimators import check_named, unknown_states, unusable_states
@@ -115,11 +115,11 @@ def command(
         runs = list(opened.runs) if number is None else [opened.run(number)]
         result["cycles"] = sum(len(r.records) for r in runs)
         run = max(runs, key=lambda r: len(r.records))
-        sensors = heard(r.measurements for r in run.records)
+        sensors = sensors_with_samples(r.measurements for r in run.records)
         result["sensors"], result["note"] = sensors, sensors_text(opened.bench, sensors)
         motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         unknown = (line for name in estimators for line in unknown_states(name, motions[name]))
-        result["warnings"] = [*opened.doubts(), *unknown]
+        result["warnings"] = [*opened.warnings(), *unknown]
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
         unusable = (line for name in estimators for line in unusable_states(name, motions[name]))

@@ -250,10 +250,10 @@ def _wheel_angles(run: TruthRun) -> Array:
 
 def _start(config: EstimatorConfig, runs: Sequence[TruthRun]) -> EstimatorConfig:
     """Start of the search: the filters that `hil replay` uses for such recordings."""
-    from hil.core.signals import heard
+    from hil.core.signals import sensors_with_samples
     from hil.replay.estimator_comparison import rest_on_wheels
 
-    sensors = heard(m for run in runs for m in run.measurements)
+    sensors = sensors_with_samples(m for run in runs for m in run.measurements)
     return config.on_wheels_alone() if rest_on_wheels(sensors) else config
 
 

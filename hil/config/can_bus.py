@@ -68,7 +68,7 @@ class CanConfig(DeviceConfig):
         return ()
 
 
-def quarrels(devices: Mapping[str, DeviceConfig]) -> Iterator[tuple[str, str]]:
+def can_conflicts(devices: Mapping[str, DeviceConfig]) -> Iterator[tuple[str, str]]:
     """Dotted path and text of every conflict of identifiers or bit rates between devices of one bus.
 
     Args:

@@ -9,7 +9,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 from hil.config.adhesion import AdhesionConfig
-from hil.config.can_bus import CanConfig, quarrels
+from hil.config.can_bus import CanConfig, can_conflicts
 from hil.config.device import DeviceConfig
 from hil.config.environment import SURFACES
 from hil.config.load_cells import LoadCellsConfig
@@ -40,7 +40,7 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     yield from _of_the_environment(config)
     yield from _of_the_emulation(config)
     yield from _of_imperfections(config)
-    yield from quarrels(config.devices())
+    yield from can_conflicts(config.devices())
     yield from _of_ports(config.devices())
     if config.environment.on_wall:
         yield from _of_a_wall(config)

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
-from hil.config.robot_record.overlay import check_record, laid_over
-from hil.config.several_devices import devices_in, further_in, meant, spread
+from hil.config.robot_record.overlay import apply_record, check_record
+from hil.config.several_devices import devices_in, further_in, resolve_device, spread
 from hil.core.errors import ConfigError, HilError, did_you_mean
 from hil.core.registry import kinds
 from hil.support.atomic_files import check_name
@@ -161,7 +161,7 @@ def load_bench(
             _forget_noise(tree, overrides or {})
     _change_models(tree, overrides or {})
     if not isinstance(source, BenchConfig):
-        record = laid_over(tree, overrides or {}, today or date.today())
+        record = apply_record(tree, overrides or {}, today or date.today())
     for dotted, value in (overrides or {}).items():
         put_dotted(tree, dotted, value, "override")
     _anchor(tree, Path.cwd())
@@ -234,7 +234,7 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
     if said == ("all",):
         return present
     labels = {name: tree[name].get("name") for name in present}
-    names = tuple(meant(word, labels) for word in said)
+    names = tuple(resolve_device(word, labels) for word in said)
     for name in names:
         if name not in present:
             raise NoSuchDevice(name, present)

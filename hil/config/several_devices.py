@@ -100,7 +100,7 @@ def devices_in(tree: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(name for name in ordered if isinstance(tree.get(name), Mapping))
 
 
-def meant(word: str, labels: Mapping[str, str | None]) -> str:
+def resolve_device(word: str, labels: Mapping[str, str | None]) -> str:
     """Find the device that a word names: by its name, by an alias, or by `KIND_NAME` of the bench's own.
 
     Args:

@@ -48,7 +48,7 @@ class ThrustConfig(DeviceConfig):
         """Force of a throttle 0..1."""
         return self.full_force_n * throttle**2
 
-    def gives_way_s(self, force_n: float, least_n: float) -> float:
+    def force_lost_after_s(self, force_n: float, least_n: float) -> float:
         """Time until a controller that did not understand its last command gives less than `least_n`.
 
         A robot that has rested for this time without a command is held by the controller alone.
@@ -80,7 +80,7 @@ class TeensyConfig(ThrustConfig):
     repeat_s: Annotated[float, Within(0.02, 2.0, "a lost line lasts so long")] = 0.05
     write_timeout_s: Patience = 0.1
 
-    def gives_way_s(self, force_n: float, least_n: float) -> float:
+    def force_lost_after_s(self, force_n: float, least_n: float) -> float:
         """After a wrong line the throttle falls by a step every 100 ms; without lines it stays."""
         steps = math.ceil(STEPS * (self.throttle_for(force_n) - self.throttle_for(least_n)))
         return STEP_DOWN_S * max(steps, 0) + _FOLLOWS_S

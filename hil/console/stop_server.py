@@ -120,7 +120,7 @@ class StopProcess:
             left = self._alarm.not_held()
         return as_json({"page": page.get("port") if runs(page) else None, "jobs": reported, "not_held": left})
 
-    def serve_until_it_is_over(self, server: Server) -> None:
+    def serve_until_idle(self, server: Server) -> None:
         """Watch page and jobs; stop serving when neither needs the button any more."""
         begun_s = needed_s = time.monotonic()
         while True:
@@ -153,7 +153,7 @@ def main() -> None:
         "port": server.port,
     }
     put_private(folder / STOP, reported)
-    threading.Thread(target=process.serve_until_it_is_over, args=(server,), daemon=True).start()
+    threading.Thread(target=process.serve_until_idle, args=(server,), daemon=True).start()
     server.serve_forever(poll_interval=0.2)
 
 

@@ -30,13 +30,13 @@ def pose_error(state: RobotState, reference: Reference) -> Three:
     return ahead_m, left_m, wrap(theta_d - theta)
 
 
-def beyond(error: Three, dead_zone: Three) -> Three:
+def outside_dead_zone(error: Three, dead_zone: Three) -> Three:
     """Part of an error that exceeds a dead zone: zero inside, continuous at its edge."""
     (ahead, left, turn), (ahead_zone, left_zone, turn_zone) = error, dead_zone
-    return ahead - within(ahead, ahead_zone), left - within(left, left_zone), turn - within(turn, turn_zone)
+    return ahead - clip(ahead, ahead_zone), left - clip(left, left_zone), turn - clip(turn, turn_zone)
 
 
-def within(value: float, limit: float) -> float:
+def clip(value: float, limit: float) -> float:
     """The value clipped to [-limit, limit]."""
     return limit if value > limit else -limit if value < -limit else value
 
@@ -210,7 +210,7 @@ class OptimalLaw(Law):
             dt_s, most, (x, y, turn) = self._dt_s, self._clamp, self._integral
             ahead, left, turned = error
             grown = x + ahead * dt_s, y + left * dt_s, turn + turned * dt_s
-            self._integral = within(grown[0], most), within(grown[1], most), within(grown[2], most)
+            self._integral = clip(grown[0], most), clip(grown[1], most), clip(grown[2], most)
 
 
 def _without_integral(model: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hil.config.control import ControlConfig
-from hil.controller.laws import Law, NonlinearLaw, OptimalLaw, beyond, pose_error
+from hil.controller.laws import Law, NonlinearLaw, OptimalLaw, outside_dead_zone, pose_error
 from hil.controller.module_layer import ModuleLayer, ModuleLimits
 from hil.core.errors import SafetyStop
 from hil.core.geometry import ArrayLike
@@ -60,7 +60,7 @@ class TrackingController(Controller):
             SafetyStop: `not_finite` when state, reference or the law's output is not finite.
         """
         error = pose_error(state, reference)
-        outside = beyond(error, self._dead_zone)
+        outside = outside_dead_zone(error, self._dead_zone)
         twist = self._law.twist(outside, reference)
         if not math.isfinite(sum(error) + sum(twist.tolist())):  # NaN and inf carry over to the sum
             raise SafetyStop("not_finite", "state, reference or gains are not finite")

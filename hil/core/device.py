@@ -106,13 +106,13 @@ class Force(NamedTuple):
     force_n: Array
 
 
-def loaded(path: str) -> Any:
+def import_object(path: str) -> Any:
     """Import and return the object that `package.module:name` names."""
     module, _, name = path.partition(":")
     return getattr(import_module(module), name)
 
 
-def opens(device: Device) -> bool:
+def can_open(device: Device) -> bool:
     """Whether a device can be opened; closes it again."""
     try:
         device.open()
@@ -159,16 +159,16 @@ class DeviceModel:
             clock: the bench clock.
             parts: stand-ins for objects of a vendor's library (`Connection.parts`).
         """
-        device: Device = loaded(self.driver)(config, clock, **parts)
+        device: Device = import_object(self.driver)(config, clock, **parts)
         return device
 
     def emulate(self, request: Any) -> Any:
         """Build the emulated device for a `hil.devices.emulated_device.EmulationRequest`; not connected."""
-        return loaded(self.chip).build(request)
+        return import_object(self.chip).build(request)
 
     def truth_options(self) -> type[Any] | None:
         """Dataclass of `[emulation.KIND]`, the true parameters of the emulated device; None without any."""
-        return getattr(loaded(self.chip), "Options", None) if self.chip else None
+        return getattr(import_object(self.chip), "Options", None) if self.chip else None
 
     def probe(self, port: str, clock: Clock) -> Found | None:
         """Find this model at a serial port; None if it is not there. Changes no setting of a device."""

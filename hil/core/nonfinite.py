@@ -14,7 +14,9 @@ from hil.core.package_errors import OURS
 from hil.core.signals import Status
 
 
-def unsaid_holes(kind: DeviceKind, sample: Any, not_measured: Collection[str] = ()) -> Iterator[str]:
+def unmarked_nonfinite_fields(
+    kind: DeviceKind, sample: Any, not_measured: Collection[str] = ()
+) -> Iterator[str]:
     """Names of the fields of a sample that hold NaN or infinity although its status is OK.
 
     An array or a tuple with one row per channel is checked row by row, all other fields only where all

@@ -10,27 +10,27 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-_ASKED: list[Callable[[Any], object]] = []
+_ON_OPENED: list[Callable[[Any], object]] = []
 _GUARDS: list[Callable[[Any, Any], object]] = []
 
 
 @contextmanager
-def shown_to(function: Callable[[Any], object]) -> Iterator[None]:
+def on_bench_opened(function: Callable[[Any], object]) -> Iterator[None]:
     """Call `function` with every `hil.Bench` of the block, before its devices are opened.
 
     Of nested blocks only the innermost function is called.
     """
-    _ASKED.append(function)
+    _ON_OPENED.append(function)
     try:
         yield
     finally:
-        _ASKED.remove(function)
+        _ON_OPENED.remove(function)
 
 
 def show(bench: Any) -> None:
-    """Call the innermost function of `shown_to`, if there is one."""
-    if _ASKED:
-        _ASKED[-1](bench)
+    """Call the innermost function of `on_bench_opened`, if there is one."""
+    if _ON_OPENED:
+        _ON_OPENED[-1](bench)
 
 
 @contextmanager
@@ -47,7 +47,7 @@ def guarded_by(function: Callable[[Any, Any], object]) -> Iterator[None]:
         _GUARDS.remove(function)
 
 
-def ask(given: Any, config: Any) -> None:
+def call_guard(given: Any, config: Any) -> None:
     """Call the innermost function of `guarded_by`, if there is one."""
     if _GUARDS:
         _GUARDS[-1](given, config)

@@ -47,7 +47,7 @@ def of_a_script(what: str) -> Iterator[None]:
 
 
 @contextmanager
-def blamed(kind: str, package: str, what: str) -> Iterator[None]:
+def errors_as_package_error(kind: str, package: str, what: str) -> Iterator[None]:
     """Run code of a package; an exception other than a `HilError` becomes a `PackageError`.
 
     Args:
@@ -68,7 +68,7 @@ def blamed(kind: str, package: str, what: str) -> Iterator[None]:
         raise PackageError(kind, package, f"{what} raised {error_text(error)}") from error
 
 
-def asked(kind: str, package: str, what: str, call: Callable[..., T], *given: Any) -> T:
-    """Call a function of a package and return its result; exceptions are handled as in `blamed`."""
-    with blamed(kind, package, what):
+def call_in_package(kind: str, package: str, what: str, call: Callable[..., T], *given: Any) -> T:
+    """Call a function of a package and return its result; exceptions as in `errors_as_package_error`."""
+    with errors_as_package_error(kind, package, what):
         return call(*given)

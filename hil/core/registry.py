@@ -255,7 +255,7 @@ def base_of(name: str) -> str:
     return kind.of if isinstance(kind, FurtherKind) else name
 
 
-def heard_in(inputs: Inputs) -> tuple[str, ...]:
+def sample_names(inputs: Inputs) -> tuple[str, ...]:
     """Names under which `inputs` may hold samples: all kinds, and its further devices."""
     return (*kinds(), *further(inputs.added))
 

@@ -375,7 +375,7 @@ class Measurements:
     added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
 
-def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:
+def sensors_with_samples(cycles: Iterable[Measurements]) -> tuple[str, ...]:
     """Names of the fields of `Measurements` (sensors) with at least one sample."""
     missing = ["wheels", "gyro", "tracker", "mocap"]
     found = dict.fromkeys(missing, False)

@@ -50,7 +50,7 @@ def is_copy(one: Recording, other: Recording) -> bool:
     )
 
 
-def wheels_in_short(recording: Recording) -> list[float]:
+def wheel_fingerprint(recording: Recording) -> list[float]:
     """Fingerprint: number of wheel rows, duration (s), mean turns and mean steering angles (rad).
 
     Copies have the same, whatever their files. Two measured drives do not.
@@ -61,7 +61,7 @@ def wheels_in_short(recording: Recording) -> list[float]:
 
 
 def same_wheels(one: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether two fingerprints of `wheels_in_short` are of one drive."""
+    """Whether two fingerprints of `wheel_fingerprint` are of one drive."""
     if len(one) != len(other) or one[0] != other[0] or not abs(one[1] - other[1]) < _ALIKE_S:
         return False
     return _alike(np.array(one[2:]), np.array(other[2:]), _ALIKE_RAD)

@@ -29,7 +29,7 @@ _PARTS = ((slice(0, 2), 0.3), (slice(2, 3), 0.1))
 """Translation, and turning at the wheels: share of the whole way from which each is judged on its own."""
 _NAMED = 4
 _NOTHING_M = 1e-9
-LOOK = (
+CHECK_COLUMNS = (
     "look for wheels in another order, a wheel or its steering (delta) with the other sign, x and y "
     "exchanged, a heading (theta) that is not the robot's, a wrong column, unit or bench file"
 )
@@ -194,7 +194,7 @@ def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     return [
         f"{recordings[found[0]].name}: from second to second the wheels miss {100 * missed[found[0]]:.0f} % "
         f"of the way or turning that the ground truth shows{likewise}; no tolerance explains "
-        f"that: {LOOK}"
+        f"that: {CHECK_COLUMNS}"
     ]
 
 

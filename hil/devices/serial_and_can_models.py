@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from hil.config.can_bus import SEARCH_S
 from hil.core.clock import Clock
-from hil.core.device import DeviceModel, Found, Search, loaded, opens
+from hil.core.device import DeviceModel, Found, Search, can_open, import_object
 
 _PROBE_S = 0.9
 _BY_NAME, _NAMES = 170, 80
@@ -31,14 +31,14 @@ class SerialModel(DeviceModel):
         """The chip behind a USB serial adapter."""
         from hil.devices.emulated_device import on_serial_line
 
-        return on_serial_line(request, loaded(self.chip).build(request))
+        return on_serial_line(request, import_object(self.chip).build(request))
 
     def probe(self, port: str, clock: Clock) -> Found | None:
         """Probe a port at each of the baud rates, for a short time."""
         default = self.config.model_fields["baud"].default
         for baud in self.probe_bauds:
             config = self.config(port=port, baud=baud, open_timeout_s=_PROBE_S / len(self.probe_bauds))
-            identity = loaded(self.driver).identify_only(config, clock)
+            identity = import_object(self.driver).identify_only(config, clock)
             if identity is not None:
                 message = ", ".join(f"{key} {value}" for key, value in identity.items() if key != "port")
                 table = {"port": port} if baud == default else {"port": port, "baud": baud}
@@ -74,7 +74,7 @@ class CanModel(DeviceModel):
         from hil.devices.emulated_can import channel_of, on_can
 
         channel = channel_of(request)
-        node = loaded(self.chip).build(request, channel)
+        node = import_object(self.chip).build(request, channel)
         return on_can(
             request,
             channel,
@@ -92,7 +92,7 @@ class CanModel(DeviceModel):
         named = [config for config in search.given.get(self.kind, ()) if isinstance(config, self.config)]
         for config in named or detected(self.config, open_timeout_s=SEARCH_S):
             search.say(f"listening for {self.title} on {config.interface}:{config.channel}")
-            if opens(self.make_driver(config, search.clock)):
+            if can_open(self.make_driver(config, search.clock)):
                 return Found(config.table())
         return None
 

@@ -8,7 +8,7 @@ from hil.links.can_sensor import CanSensor
 from hil.links.packets import LineParser, PacketParser
 from hil.links.serial_port import PortLostError, SerialPort
 from hil.links.serial_sensor import SerialSensor
-from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.silence_limit import SilenceTimer, used_while_closed
 from hil.links.streaming_sensor import StreamingSensor
 from hil.links.stuck_values import StuckTest
 
@@ -25,11 +25,11 @@ __all__ = [
     "Sensor",
     "SerialPort",
     "SerialSensor",
+    "SilenceTimer",
     "Stamp",
     "Status",
     "StreamingSensor",
     "StuckTest",
-    "Usefulness",
     "nanoseconds",
     "used_while_closed",
 ]

@@ -16,11 +16,11 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.estimator.state_vector import (
+    CAMERA_THETA,
+    CAMERA_X,
+    CAMERA_Y,
     OMEGA,
     SCALE,
-    SIGHT_THETA,
-    SIGHT_X,
-    SIGHT_Y,
     SLIP_X,
     SLIP_Y,
     STATES,
@@ -88,41 +88,45 @@ def wall_shift(x: Array, dt_s: float) -> tuple[float, float]:
 
 
 @inner
-def sight_shift(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array) -> tuple[float, float]:
+def camera_displacement(
+    x: Array, dt_s: float, scaled: float, scale: float, nominal: Array
+) -> tuple[float, float]:
     """Displacement of the pose in the camera's frame, for x (20,).
 
     `scale` is the mean's scale error. The part by which a sigma point differs from it acts on `nominal` (2,).
     """
-    east, north = shift(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
-    far_east, far_north = shift(x[SIGHT_THETA], nominal[0], nominal[1], x[OMEGA], dt_s)
+    east, north = shift(x[CAMERA_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
+    far_east, far_north = shift(x[CAMERA_THETA], nominal[0], nominal[1], x[OMEGA], dt_s)
     size, more = 1.0 + scaled * scale, scaled * (x[SCALE] - scale)
     return size * east + more * far_east, size * north + more * far_north
 
 
 @inner
-def fade(x: Array, dt_s: float, decay: float) -> None:
+def advance_linear_states(x: Array, dt_s: float, decay: float) -> None:
     """Advance the linear part of the state (20,) by `dt_s`: both headings and the slip velocity; in place."""
     x[THETA] += x[OMEGA] * dt_s
-    x[SIGHT_THETA] += x[OMEGA] * dt_s
+    x[CAMERA_THETA] += x[OMEGA] * dt_s
     x[SLIP_X] *= decay
     x[SLIP_Y] *= decay
 
 
 @inner
-def go(x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: float, decay: float) -> None:
+def apply_displacements(
+    x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: float, decay: float
+) -> None:
     """Add the displacements to both poses of the state (20,), then advance its linear part; in place."""
     x[X] += wall[0]
     x[Y] += wall[1]
-    x[SIGHT_X] += sight[0]
-    x[SIGHT_Y] += sight[1]
-    fade(x, dt_s, decay)
+    x[CAMERA_X] += sight[0]
+    x[CAMERA_Y] += sight[1]
+    advance_linear_states(x, dt_s, decay)
 
 
 @inner
 def move(x: Array, dt_s: float, slip_s: float, scaled: float, scale: float, nominal: Array) -> None:
     """Advance the state (20,) by `dt_s`, in place: SE(2) exponential of the twist, decay of the slip."""
-    wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, scaled, scale, nominal)
-    go(x, wall, sight, dt_s, math.exp(-dt_s / slip_s))
+    wall, sight = wall_shift(x, dt_s), camera_displacement(x, dt_s, scaled, scale, nominal)
+    apply_displacements(x, wall, sight, dt_s, math.exp(-dt_s / slip_s))
 
 
 @inner
@@ -134,8 +138,8 @@ def slopes(
     Returns wall x, wall y, camera x, camera y, and camera (x, y) by the scale; `nominal` (2,).
     """
     a, b = shift_slopes(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
-    c, d = shift_slopes(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
-    far = shift(x[SIGHT_THETA], scaled * nominal[0], scaled * nominal[1], x[OMEGA], dt_s)
+    c, d = shift_slopes(x[CAMERA_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
+    far = shift(x[CAMERA_THETA], scaled * nominal[0], scaled * nominal[1], x[OMEGA], dt_s)
     size = 1.0 + scaled * x[SCALE]
     return a, b, times(size, c), times(size, d), far
 
@@ -147,9 +151,9 @@ def transition(x: Array, dt_s: float, slip_s: float, scaled: float, nominal: Arr
     a, b, c, d, far = slopes(x, dt_s, scaled, nominal)
     f[X, THETA], f[X, V_X], f[X, V_Y], f[X, OMEGA] = a
     f[Y, THETA], f[Y, V_X], f[Y, V_Y], f[Y, OMEGA] = b
-    f[SIGHT_X, SIGHT_THETA], f[SIGHT_X, V_X], f[SIGHT_X, V_Y], f[SIGHT_X, OMEGA] = c
-    f[SIGHT_Y, SIGHT_THETA], f[SIGHT_Y, V_X], f[SIGHT_Y, V_Y], f[SIGHT_Y, OMEGA] = d
-    f[SIGHT_X, SCALE], f[SIGHT_Y, SCALE] = far
-    f[THETA, OMEGA] = f[SIGHT_THETA, OMEGA] = dt_s
+    f[CAMERA_X, CAMERA_THETA], f[CAMERA_X, V_X], f[CAMERA_X, V_Y], f[CAMERA_X, OMEGA] = c
+    f[CAMERA_Y, CAMERA_THETA], f[CAMERA_Y, V_X], f[CAMERA_Y, V_Y], f[CAMERA_Y, OMEGA] = d
+    f[CAMERA_X, SCALE], f[CAMERA_Y, SCALE] = far
+    f[THETA, OMEGA] = f[CAMERA_THETA, OMEGA] = dt_s
     f[SLIP_X, SLIP_X] = f[SLIP_Y, SLIP_Y] = math.exp(-dt_s / slip_s)
     return f

@@ -74,7 +74,7 @@ def insert(marks: Ints, ring: Samples, new: Samples, n: int) -> int:
 
 
 @inner
-def let_go(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> None:
+def drop_old(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> None:
     """Drop events older than the span, and further old ones until `room` new events fit."""
     capacity = t_ns.shape[0]
     now_ns = max(now_ns, t_ns[(marks[FIRST] + marks[COUNT] - 1) % capacity])
@@ -116,7 +116,7 @@ def enter(marks: Ints, ring: Samples, span_ns: int, now_ns: int, number: int, ne
     """
     (t_ns, numbers, seqs, data), (new_ns, new_numbers, new_seqs, new_data) = ring, new
     capacity = t_ns.shape[0]
-    let_go(marks, t_ns, span_ns, now_ns, number)
+    drop_old(marks, t_ns, span_ns, now_ns, number)
     begin = int(marks[COUNT])
     order = in_order(new_ns, number)
     for k in range(number):

@@ -11,23 +11,30 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.core.named_records import Records
-from hil.estimator.kalman_update import Compared, condition, guard, joint_nis
+from hil.estimator.kalman_update import Compared, condition, joint_nis, zero_negative_variances
 from hil.estimator.kernel_layout import EventRow, Events, Memory, Parameters, States
 from hil.estimator.matrix_loops import put, put_rows, seen
-from hil.estimator.pose_correction import carry, follow, is_lost, is_unsure, lean, settle
+from hil.estimator.pose_correction import (
+    correct_along_arc,
+    find_linearisation_point,
+    is_lost,
+    is_unsure,
+    transport_correction,
+    transport_covariance,
+)
 from hil.estimator.process_model import advance_linear
 from hil.estimator.sensors import (
-    BENT,
     GATED_TOGETHER,
     MARK,
+    NONLINEAR,
     account,
     admit,
     innovation,
     jacobian,
-    let_in,
     new_frame,
     observe,
     predicted,
+    reanchor,
     remember,
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
@@ -64,7 +71,7 @@ def moments(number: int, x: Array, p: Array, par: Parameters, points: Points, co
         points: sigma points of the UKF; None for the EKF.
         count: number of rows.
     """
-    if points is not None and BENT[number] and not is_lost(p, 0.0):
+    if points is not None and NONLINEAR[number] and not is_lost(p, 0.0):
         moments_unscented(number, x, p, par, points, count)
         return
     w = par.work
@@ -104,7 +111,7 @@ def compare(
     unsure = linear and is_unsure(number, p)
     if unsure:
         spread = np.zeros((STATES, STATES))
-        settle(number, before, p, count, par, x, spread)
+        find_linearisation_point(number, before, p, count, par, x, spread)
     else:
         mean[:] = 0.0
         moments(number, x, p, par, points, count)
@@ -121,15 +128,15 @@ def compare(
         point, toward = x.copy(), np.zeros(STATES)
         put_rows(p, spread)
         condition(toward, p, rows, count, gate)
-        lean(before, point, toward, -1.0)
+        transport_correction(before, point, toward, -1.0)
         put(x, before + toward)
-        follow(before, x)
-        carry(point, x, p)
+        correct_along_arc(before, x)
+        transport_covariance(point, x, p)
     else:
         condition(x, p, rows, count, gate)
         if linear:
-            follow(before, x)
-            carry(before, x, p)
+            correct_along_arc(before, x)
+            transport_covariance(before, x, p)
     m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
 
 
@@ -174,13 +181,13 @@ def run(
             m[i].duplicates += 1.0
         if use == USED:
             compare(number, stamp, x[i], p[i], m[i], rows[i], par, points)
-            if let_in(number, par.filter.limit, stamp, p[i], m[i], par):
+            if reanchor(number, par.filter.limit, stamp, p[i], m[i], par):
                 use = NEW_FRAME
         if use == NEW_FRAME:
             new_frame(number, stamp, x[i], p[i], m[i], rows[i], par)
         if use in (USED, NEW_FRAME):
             remember(number, stamp, x[i], p[i], m[i], rows[i], par)
-            m[i].guarded += guard(p[i])
+            m[i].guarded += zero_negative_variances(p[i])
     last = (first + count - 1) % capacity
     put(now_x, x[last])
     put_rows(now_p, p[last])

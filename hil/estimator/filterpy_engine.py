@@ -23,7 +23,7 @@ from hil.estimator import constant_twist, event_loop, pose_correction, sensors
 from hil.estimator.event_buffer import History
 from hil.estimator.event_loop import NONE_ACCEPTED
 from hil.estimator.fusion import FilterBackend, Now
-from hil.estimator.kalman_update import guard
+from hil.estimator.kalman_update import zero_negative_variances
 from hil.estimator.matrix_loops import square_root
 from hil.estimator.process_model import add_noise
 from hil.estimator.sensors import (
@@ -32,10 +32,10 @@ from hil.estimator.sensors import (
     account,
     admit,
     jacobian,
-    let_in,
     new_frame,
     observe,
     predicted,
+    reanchor,
     remember,
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
@@ -46,7 +46,10 @@ from hil.support.numba_jit import kernel
 compare, innovation = kernel(event_loop.compare), kernel(sensors.innovation)
 move, transition = kernel(constant_twist.move), kernel(constant_twist.transition)
 is_lost, is_unsure = kernel(pose_correction.is_lost), kernel(pose_correction.is_unsure)
-follow, carry = kernel(pose_correction.follow), kernel(pose_correction.carry)
+correct_along_arc, transport_covariance = (
+    kernel(pose_correction.correct_along_arc),
+    kernel(pose_correction.transport_covariance),
+)
 
 
 def _symmetric(p: Array) -> Array:
@@ -125,13 +128,13 @@ def after(
     number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records
 ) -> None:
     """Last part of `event_loop.run` for a sample, on state (20,) and covariance (20, 20), in place."""
-    if use == USED and let_in(number, par[0].filter.limit, t_ns, p, m[0], par[0]):
+    if use == USED and reanchor(number, par[0].filter.limit, t_ns, p, m[0], par[0]):
         use = NEW_FRAME
     if use == NEW_FRAME:
         new_frame(number, t_ns, x, p, m[0], row[0], par[0])
     if use in (USED, NEW_FRAME):
         remember(number, t_ns, x, p, m[0], row[0], par[0])
-        m[0].guarded += guard(p)
+        m[0].guarded += zero_negative_variances(p)
 
 
 @kernel
@@ -301,5 +304,5 @@ class FilterpyFilter(FilterBackend):
         before = x.copy()
         x[:], p[:] = f.x, _symmetric(f.P)
         if not unscented:
-            follow(before, x)
-            carry(before, x, p)
+            correct_along_arc(before, x)
+            transport_covariance(before, x, p)

@@ -105,7 +105,7 @@ def condition(x: Array, p: Array, rows: Compared, count: int, gate: float) -> in
 
 
 @inner
-def guard(p: Array) -> int:
+def zero_negative_variances(p: Array) -> int:
     """Zero variances of p (n, n) that rounding made negative, and their covariances; return their count."""
     repaired = 0
     for i in range(STATES):

@@ -90,7 +90,7 @@ class Memory(Record):
     Attributes:
         accepted: number of rows that have changed the state.
         duplicates: number of samples refused because of a repeated stamp.
-        guarded: number of variances repaired by `hil.estimator.kalman_update.guard`.
+        guarded: number of variances repaired by `hil.estimator.kalman_update.zero_negative_variances`.
     """
 
     accepted: float

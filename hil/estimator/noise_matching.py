@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.core.clock import NS_PER_S
-from hil.core.signals import Measurements, RobotState, heard
+from hil.core.signals import Measurements, RobotState, sensors_with_samples
 from hil.estimator import make_estimator
 from hil.estimator.tuning import value_of, with_values
 from hil.robot.kinematics import WheelGeometry
@@ -69,7 +69,7 @@ def usual_nis(
     for run in runs:
         estimator = make_estimator(config, geometry, surface=surface)
         estimator.reset(run.start)
-        names = [n for n in heard(run.measurements) if n != "mocap" or config.mocap.use]
+        names = [n for n in sensors_with_samples(run.measurements) if n != "mocap" or config.mocap.use]
         for chunk in _chunks(run.measurements):
             figures = estimator.update(chunk).diagnostics
             if chunk.t_ns - run.start.t_ns >= _SETTLED_NS:

@@ -4,8 +4,8 @@ An error of the heading has rotated all of the path driven since it arose. So a 
 exponential of SE(2), not component by component. The covariance of position and heading, whose lever is the
 distance driven, is moved to the corrected pose. This is the invariant extended Kalman filter (Barrau and
 Bonnabel, 2017) in the coordinates of an ordinary one. For small corrections both agree to second order, so no
-switch between them is needed. Where the heading is known only to `UNSURE_RAD`, `settle` finds the point to
-linearise at before any row is gated.
+switch between them is needed. Where the heading is known only to `UNSURE_RAD`, `find_linearisation_point`
+finds the point to linearise at before any row is gated.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def is_lost(p: Array, dt_s: float) -> bool:
 
 
 @inner
-def lean(before: Array, point: Array, v: Array, way: float) -> None:
+def transport_correction(before: Array, point: Array, v: Array, way: float) -> None:
     """Transform a correction v (20,) from `before` to `point` (way 1) or back (way -1), in place."""
     for place in POSES:
         v[place] -= way * (point[place + 1] - before[place + 1]) * v[place + 2]
@@ -58,7 +58,7 @@ def lean(before: Array, point: Array, v: Array, way: float) -> None:
 
 
 @inner
-def follow(before: Array, x: Array) -> None:
+def correct_along_arc(before: Array, x: Array) -> None:
     """Replace the correction added to `before` (20,), giving x (20,), by one along the arc; x in place."""
     for place in POSES:
         turn = x[place + 2] - before[place + 2]
@@ -70,7 +70,7 @@ def follow(before: Array, x: Array) -> None:
 
 
 @inner
-def carry(before: Array, x: Array, p: Array) -> None:
+def transport_covariance(before: Array, x: Array, p: Array) -> None:
     """Move the covariance (20, 20) from `before` to x, in place; heading errors have another lever there."""
     check_size(p)
     for place in POSES:
@@ -90,7 +90,10 @@ def carry(before: Array, x: Array, p: Array) -> None:
 
 @inner
 def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
-    """Carry the later samples' late (20,), spread (20, 20) back through `carry`; see `pull_update`."""
+    """Carry the later samples' late (20,), spread (20, 20) back through `transport_covariance`.
+
+    See `hil.estimator.smoother.pull_update`.
+    """
     for place in POSES:
         east, north = x[place] - before[place], x[place + 1] - before[place + 1]
         late[place + 2] += east * late[place + 1] - north * late[place]
@@ -101,7 +104,9 @@ def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
 
 
 @inner
-def settle(number: int, x: Array, p: Array, count: int, par: Parameters, point: Array, spread: Array) -> None:
+def find_linearisation_point(
+    number: int, x: Array, p: Array, count: int, par: Parameters, point: Array, spread: Array
+) -> None:
     """Find the point to linearise at, by Gauss-Newton iterations, and linearise the sample's rows there.
 
     Args:
@@ -121,17 +126,17 @@ def settle(number: int, x: Array, p: Array, count: int, par: Parameters, point: 
     toward, mean, ignored = np.zeros(STATES), np.zeros(ROWS), np.zeros(ROWS)
     for _ in range(_TURNS):
         put(point, x + toward)
-        follow(x, point)
+        correct_along_arc(x, point)
         put_rows(spread, p)
-        carry(x, point, spread)
+        transport_covariance(x, point, spread)
         h[:, :] = 0.0
         predicted(number, point, aux, par, mean)
         jacobian(number, point, aux, par, h)
         seen(spread, h, count, cross, own)
-        lean(x, point, toward, 1.0)
+        transport_correction(x, point, toward, 1.0)
         innovation(number, z, mean, var, count, nu)
         nu += h @ toward
         toward[:] = 0.0
         rows = Compared(nu.copy(), cross.copy(), own.copy(), var, ignored)
         condition(toward, spread.copy(), rows, count, math.inf)
-        lean(x, point, toward, -1.0)
+        transport_correction(x, point, toward, -1.0)

@@ -10,17 +10,17 @@ import math
 from hil.config.estimator import EstimatorConfig
 from hil.core.geometry import Array
 from hil.core.named_records import Record
-from hil.estimator.constant_twist import go, sight_shift, slopes, wall_shift
+from hil.estimator.constant_twist import apply_displacements, camera_displacement, slopes, wall_shift
 from hil.estimator.matrix_loops import check_size
 from hil.estimator.state_vector import (
     BIAS,
+    CAMERA_THETA,
+    CAMERA_X,
+    CAMERA_Y,
     CREEP_X,
     CREEP_Y,
     OMEGA,
     SCALE,
-    SIGHT_THETA,
-    SIGHT_X,
-    SIGHT_Y,
     SLIP_X,
     SLIP_Y,
     STATES,
@@ -33,8 +33,8 @@ from hil.estimator.state_vector import (
 )
 from hil.support.numba_jit import inner
 
-FADING = (THETA, SIGHT_THETA, SLIP_X, SLIP_Y)
-MOVING = (X, Y, THETA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SLIP_X, SLIP_Y)
+FADING = (THETA, CAMERA_THETA, SLIP_X, SLIP_Y)
+MOVING = (X, Y, THETA, CAMERA_X, CAMERA_Y, CAMERA_THETA, SLIP_X, SLIP_Y)
 """Rows of the covariance that a prediction changes: FADING by the linear part alone, MOVING in all."""
 
 
@@ -100,7 +100,7 @@ def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None
     p[V_X, V_X] += q * dt_s
     p[V_Y, V_Y] += q * dt_s
     p[OMEGA, OMEGA] += turn * dt_s
-    for place, theta, scale in ((X, THETA, 1.0), (SIGHT_X, SIGHT_THETA, size)):
+    for place, theta, scale in ((X, THETA, 1.0), (CAMERA_X, CAMERA_THETA, size)):
         c, s = scale * math.cos(x[theta]), scale * math.sin(x[theta])
         p[place, place] += scale * scale * q * third
         p[place + 1, place + 1] += scale * scale * q * third
@@ -110,13 +110,13 @@ def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None
         for i, j, value in ((0, V_X, c), (1, V_X, s), (0, V_Y, -s), (1, V_Y, c)):
             p[place + i, j] += value * q * half
             p[j, place + i] += value * q * half
-    between = x[SIGHT_THETA] - x[THETA]
+    between = x[CAMERA_THETA] - x[THETA]
     c, s = size * q * third * math.cos(between), size * q * third * math.sin(between)
     for i, j, value in ((0, 0, c), (0, 1, s), (1, 0, -s), (1, 1, c)):
-        p[X + i, SIGHT_X + j] += value
-        p[SIGHT_X + j, X + i] += value
-    p[THETA, SIGHT_THETA] += turn * third
-    p[SIGHT_THETA, THETA] += turn * third
+        p[X + i, CAMERA_X + j] += value
+        p[CAMERA_X + j, X + i] += value
+    p[THETA, CAMERA_THETA] += turn * third
+    p[CAMERA_THETA, THETA] += turn * third
 
 
 @inner
@@ -135,9 +135,9 @@ def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
     p[CREEP_X, CREEP_X] += par.creep_x * rolled
     p[CREEP_Y, CREEP_Y] += par.creep_y * rolled
     drift = par.sight_per_m * rolled + par.sight_per_s * dt_s
-    p[SIGHT_X, SIGHT_X] += drift
-    p[SIGHT_Y, SIGHT_Y] += drift
-    p[SIGHT_THETA, SIGHT_THETA] += par.sight_turn * dt_s
+    p[CAMERA_X, CAMERA_X] += drift
+    p[CAMERA_Y, CAMERA_Y] += drift
+    p[CAMERA_THETA, CAMERA_THETA] += par.sight_turn * dt_s
 
 
 @inner
@@ -155,16 +155,16 @@ def mirror(p: Array, rows: tuple[int, ...]) -> None:
 
 @inner
 def fade_covariance(p: Array, dt_s: float, decay: float) -> None:
-    """Apply F P F' for `fade` to p (20, 20) in place: first the changing rows, then their columns."""
+    """Apply F P F' for `advance_linear_states` to p (20, 20) in place: changing rows first, then columns."""
     check_size(p)
     for j in range(STATES):
         p[THETA, j] += dt_s * p[OMEGA, j]
-        p[SIGHT_THETA, j] += dt_s * p[OMEGA, j]
+        p[CAMERA_THETA, j] += dt_s * p[OMEGA, j]
         p[SLIP_X, j] *= decay
         p[SLIP_Y, j] *= decay
     for i in FADING:
         p[i, THETA] += dt_s * p[i, OMEGA]
-        p[i, SIGHT_THETA] += dt_s * p[i, OMEGA]
+        p[i, CAMERA_THETA] += dt_s * p[i, OMEGA]
         p[i, SLIP_X] *= decay
         p[i, SLIP_Y] *= decay
     mirror(p, FADING)
@@ -175,26 +175,26 @@ def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nomi
     """EKF prediction of x (20,), p (20, 20), in place; only changing rows and columns are computed."""
     check_size(p)
     a, b, c, d, (e, f) = slopes(x, dt_s, par.scaled, nominal)
-    wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, par.scaled, x[SCALE], nominal)
+    wall, sight = wall_shift(x, dt_s), camera_displacement(x, dt_s, par.scaled, x[SCALE], nominal)
     decay = math.exp(-dt_s / par.slip_s)
     for j in range(STATES):
-        turned, seen, ahead, left = p[THETA, j], p[SIGHT_THETA, j], p[V_X, j], p[V_Y, j]
+        turned, seen, ahead, left = p[THETA, j], p[CAMERA_THETA, j], p[V_X, j], p[V_Y, j]
         spun, scale = p[OMEGA, j], p[SCALE, j]
         p[X, j] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
         p[Y, j] += b[0] * turned + b[1] * ahead + b[2] * left + b[3] * spun
-        p[SIGHT_X, j] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
-        p[SIGHT_Y, j] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
-        p[THETA, j], p[SIGHT_THETA, j] = turned + dt_s * spun, seen + dt_s * spun
+        p[CAMERA_X, j] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
+        p[CAMERA_Y, j] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
+        p[THETA, j], p[CAMERA_THETA, j] = turned + dt_s * spun, seen + dt_s * spun
         p[SLIP_X, j], p[SLIP_Y, j] = decay * p[SLIP_X, j], decay * p[SLIP_Y, j]
     for i in MOVING:
-        turned, seen, ahead, left = p[i, THETA], p[i, SIGHT_THETA], p[i, V_X], p[i, V_Y]
+        turned, seen, ahead, left = p[i, THETA], p[i, CAMERA_THETA], p[i, V_X], p[i, V_Y]
         spun, scale = p[i, OMEGA], p[i, SCALE]
         p[i, X] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
         p[i, Y] += b[0] * turned + b[1] * ahead + b[2] * left + b[3] * spun
-        p[i, SIGHT_X] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
-        p[i, SIGHT_Y] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
-        p[i, THETA], p[i, SIGHT_THETA] = turned + dt_s * spun, seen + dt_s * spun
+        p[i, CAMERA_X] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
+        p[i, CAMERA_Y] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
+        p[i, THETA], p[i, CAMERA_THETA] = turned + dt_s * spun, seen + dt_s * spun
         p[i, SLIP_X], p[i, SLIP_Y] = decay * p[i, SLIP_X], decay * p[i, SLIP_Y]
     mirror(p, MOVING)
     add_noise(x, p, dt_s, par)
-    go(x, wall, sight, dt_s, decay)
+    apply_displacements(x, wall, sight, dt_s, decay)

@@ -36,7 +36,7 @@ from hil.estimator.kernel_layout import (
 )
 from hil.estimator.matrix_loops import put, put_rows, seen
 from hil.estimator.measurement_queue import MeasurementQueue
-from hil.estimator.pose_correction import is_unsure, pull_carry, settle
+from hil.estimator.pose_correction import find_linearisation_point, is_unsure, pull_carry
 from hil.estimator.process_model import advance_linear
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
@@ -190,7 +190,7 @@ def pull_update(
     count = observe(number, t_ns, m, row, par, z, var, aux)
     point = x.copy()
     if is_unsure(number, p):
-        settle(number, x, p, count, par, point, p.copy())
+        find_linearisation_point(number, x, p, count, par, point, p.copy())
     else:
         predicted(number, x, aux, par, mean)
         jacobian(number, x, aux, par, h)

@@ -22,7 +22,7 @@ import numpy as np
 from hil.config.estimator import EstimatorConfig
 from hil.core.errors import UsageError
 from hil.core.geometry import Array, wrap_array
-from hil.core.signals import Measurements, RobotState, heard
+from hil.core.signals import Measurements, RobotState, sensors_with_samples
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
 from hil.robot.kinematics import WheelGeometry
@@ -235,7 +235,7 @@ def tune(
         raise UsageError(
             f"cannot tune {', '.join(unknown) or 'nothing'}", expected="some of " + ", ".join(start)
         )
-    sensors = {name for run in runs for name in heard(run.measurements)}
+    sensors = {name for run in runs for name in sensors_with_samples(run.measurements)}
     mute = {n for n in names if n.split(".")[0] in _SENSORS - sensors}
     _refuse(mute if every else set())
     values, used = {n: start[n] for n in names if n not in mute}, 1

@@ -20,15 +20,15 @@ from typing import NamedTuple, TypeAlias
 
 from hil.config.estimator import EstimatorConfig
 from hil.core.geometry import Array
-from hil.estimator.constant_twist import fade, sight_shift, wall_shift
+from hil.estimator.constant_twist import advance_linear_states, camera_displacement, wall_shift
 from hil.estimator.kernel_layout import Parameters, Work
 from hil.estimator.matrix_loops import spread, square_root
 from hil.estimator.process_model import add_noise, fade_covariance, mirror
 from hil.estimator.sensors import predicted
-from hil.estimator.state_vector import CURVED, OMEGA, ROWS, SCALE, SIGHT_X, SIGHT_Y, STATES, X, Y
+from hil.estimator.state_vector import CAMERA_X, CAMERA_Y, CURVED, OMEGA, ROWS, SCALE, STATES, X, Y
 from hil.support.numba_jit import inner
 
-PLACES = (X, Y, SIGHT_X, SIGHT_Y)
+PLACES = (X, Y, CAMERA_X, CAMERA_Y)
 """States whose prediction is nonlinear."""
 
 
@@ -103,7 +103,7 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weigh
     square_root(p, root)
     high[:], low[:], centre[:] = 0.0, 0.0, 0.0
     centre[0], centre[1] = wall_shift(x, dt_s)
-    centre[2], centre[3] = sight_shift(x, dt_s, by.scaled, scale, nominal)
+    centre[2], centre[3] = camera_displacement(x, dt_s, by.scaled, scale, nominal)
     for k in range(CURVED):
         for i in range(STATES):
             up[i], down[i] = x[i] + w.reach * root[k, i], x[i] - w.reach * root[k, i]
@@ -112,8 +112,8 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weigh
             low[0], low[1] = wall_shift(down, dt_s)
         else:
             high[0], high[1] = low[0], low[1] = centre[0], centre[1]
-        high[2], high[3] = sight_shift(up, dt_s, by.scaled, scale, nominal)
-        low[2], low[3] = sight_shift(down, dt_s, by.scaled, scale, nominal)
+        high[2], high[3] = camera_displacement(up, dt_s, by.scaled, scale, nominal)
+        low[2], low[3] = camera_displacement(down, dt_s, by.scaled, scale, nominal)
         parts(high, low, centre, work.odd[k], work.even[k])
         for i in range(4):
             work.odd[k, i] += w.reach * root[k, PLACES[i]]
@@ -130,7 +130,7 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weigh
     add_noise(x, p, dt_s, by)
     for i in range(4):
         x[PLACES[i]] += centre[i] + work.offset[i]
-    fade(x, dt_s, decay)
+    advance_linear_states(x, dt_s, decay)
 
 
 @inner

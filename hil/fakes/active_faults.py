@@ -27,13 +27,13 @@ class FaultPlan:
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._faults: list[Fault] = []
         self.touched = False
-        self._views: list[FaultsOf] = []
+        self._views: list[DeviceFaultView] = []
         self._keep(list(faults))
         self._supported: dict[str, Supported] = {}
 
-    def of(self, *names: str) -> FaultsOf:
+    def of(self, *names: str) -> DeviceFaultView:
         """Return a view of the faults of a device that has these names; it follows changes of the plan."""
-        view = FaultsOf(self, names)
+        view = DeviceFaultView(self, names)
         self._views.append(view)
         view.follow(fault.device for fault in self._faults)
         return view
@@ -135,7 +135,7 @@ class FaultPlan:
         return any(f.device in devices and f.active(t_ns) for f in self._faults)
 
 
-class FaultsOf:
+class DeviceFaultView:
     """View of the faults of a plan that concern one device.
 
     Attributes:
@@ -163,7 +163,7 @@ class Once:
     def __init__(self) -> None:
         self._done: set[tuple[Hashable, int]] = set()
 
-    def news(self, of: Hashable, fault: Fault | None) -> Fault | None:
+    def first_activation(self, of: Hashable, fault: Fault | None) -> Fault | None:
         """Return an active fault at its first query, and None at every later one.
 
         Args:
@@ -202,19 +202,19 @@ class DeviceFaults:
         """Return the active fault of this kind, or None."""
         return None if self.plan.empty else self.plan.find(self._name, kind, t_ns)
 
-    def news(self, kind: str, t_ns: int) -> Fault | None:
+    def first_activation(self, kind: str, t_ns: int) -> Fault | None:
         """Return the active one-time fault of this kind at its first query, None at every later one."""
-        return self._once.news(kind, self.find(kind, t_ns))
+        return self._once.first_activation(kind, self.find(kind, t_ns))
 
     def restarted(self, t_ns: int) -> bool:
         """Return whether the device has just restarted after `reset` or `off`; call it at every step."""
         was_off, self._off = self._off, self.find("off", t_ns) is not None
-        return self.news("reset", t_ns) is not None or (was_off and not self._off)
+        return self.first_activation("reset", t_ns) is not None or (was_off and not self._off)
 
-    def slowness(self, t_ns: int) -> float:
+    def period_factor(self, t_ns: int) -> float:
         """Return the factor by which a `slow` fault stretches the output period; 1 without one."""
         fault = self.find("slow", t_ns)
-        return 1.0 if fault is None else fault.slowness
+        return 1.0 if fault is None else fault.period_factor
 
     def lateness_ns(self, t_ns: int) -> int:
         """Return the extra latency of the device's output under a `delayed` fault, ns."""
@@ -233,4 +233,4 @@ class DeviceFaults:
 
     def _hit(self, kind: str, t_ns: int) -> bool:
         fault = self.find(kind, t_ns)
-        return fault is not None and fault.strikes(self._rng)
+        return fault is not None and fault.hits(self._rng)

@@ -58,7 +58,7 @@ class CanFrame(NamedTuple):
         return len(self.data)
 
 
-Heard = tuple[int, CanFrame | can.Message]
+QueuedFrame = tuple[int, CanFrame | can.Message]
 """Arrival time in ns, and the frame; a `can.Message` if a python-can client has sent it."""
 
 
@@ -80,7 +80,7 @@ class CanChannel:
             for extended in (False, True)
         ]
         self.faults = world.faults.of(device)
-        self._listeners: list[tuple[deque[Heard], Callable[[], None] | None]] = []
+        self._listeners: list[tuple[deque[QueuedFrame], Callable[[], None] | None]] = []
         self._rng = world.rng(f"can.{device}")
         self._free_ns = 0
         self._bus_off_seen = False
@@ -98,17 +98,17 @@ class CanChannel:
         if _CHANNELS.get(self.name) is self:
             del _CHANNELS[self.name]
 
-    def listen(self, on_frames: Callable[[], None] | None = None) -> deque[Heard]:
+    def listen(self, on_frames: Callable[[], None] | None = None) -> deque[QueuedFrame]:
         """Add a listener. Its queue holds (arrival time, frame); a full queue drops the oldest frames.
 
         Args:
             on_frames: called after a frame has been added.
         """
-        queue: deque[Heard] = deque(maxlen=_QUEUE)
+        queue: deque[QueuedFrame] = deque(maxlen=_QUEUE)
         self._listeners.append((queue, on_frames))
         return queue
 
-    def leave(self, queue: deque[Heard]) -> None:
+    def leave(self, queue: deque[QueuedFrame]) -> None:
         """Remove the listener with this queue."""
         self._listeners = [(q, reported) for q, reported in self._listeners if q is not queue]
 
@@ -119,7 +119,7 @@ class CanChannel:
         t_ns: int,
         *,
         extended: bool = False,
-        sender: deque[Heard] | None = None,
+        sender: deque[QueuedFrame] | None = None,
     ) -> None:
         """Send a data frame, not before `t_ns`; every listener except `sender` receives it."""
         if not self.faults.empty:
@@ -134,7 +134,7 @@ class CanChannel:
                 if reported is not None:
                     reported()
 
-    def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
+    def send(self, message: can.Message, t_ns: int, *, sender: deque[QueuedFrame] | None = None) -> None:
         """Send any frame and take ownership of it; every listener except `sender` receives it."""
         arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
         copies = 1
@@ -148,7 +148,7 @@ class CanChannel:
             again = copy(message)
             self._hand_out(again, self._crossed_ns(again.is_extended_id, again.dlc, arrival_ns), sender)
 
-    def _hand_out(self, message: can.Message, arrival_ns: int, sender: deque[Heard] | None) -> None:
+    def _hand_out(self, message: can.Message, arrival_ns: int, sender: deque[QueuedFrame] | None) -> None:
         message.timestamp = arrival_ns / NS_PER_S
         for queue, reported in self._listeners:
             if queue is not sender:
@@ -179,7 +179,7 @@ class CanChannel:
 
         def hit(kind: str) -> bool:
             fault = faults.get(kind)
-            return fault is not None and fault.strikes(self._rng)
+            return fault is not None and fault.hits(self._rng)
 
         if "unplug" in faults or hit("drop"):
             return None

@@ -56,7 +56,7 @@ _adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 """Validator of a dataclass, cached: making it takes longer than making most devices."""
 
 
-def impossible(imperfections: type[Any], given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def invalid_values(imperfections: type[Any], given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield key and reason of every invalid value.
 
     Args:
@@ -176,7 +176,7 @@ class EmulationRequest:
             if key not in names
         ]
         if not problems:
-            problems = [f"{where}.{key}: {why}" for key, why in impossible(imperfections, self.given)]
+            problems = [f"{where}.{key}: {why}" for key, why in invalid_values(imperfections, self.given)]
         if not problems:
             try:
                 made: T = _adapter(imperfections).validate_python({**known, **self.given})

@@ -160,21 +160,21 @@ class Fault:
         """Return the value of an option, or `default` if it is not given."""
         return self.options.get(key, default)
 
-    def interrupts(self, t_ns: int) -> bool:
+    def silences(self, t_ns: int) -> bool:
         """Return whether an `intermittent` fault silences the device: the last `duty` of each `period_s`."""
         period_ns = nanoseconds(self.option("period_s", PERIOD_S))
         return (t_ns - self.start_ns) % period_ns >= (1.0 - self.option("duty", DUTY)) * period_ns
 
-    def strikes(self, rng: np.random.Generator) -> bool:
+    def hits(self, rng: np.random.Generator) -> bool:
         """Draw whether the fault hits this packet, frame or reply, with its `probability`."""
         return bool(rng.random() < self.option("probability", PROBABILITY))
 
     @property
-    def slowness(self) -> float:
+    def period_factor(self) -> float:
         """Factor by which a `slow` fault stretches a period."""
         return self.option("factor", FACTOR)
 
-    def faded(self, t_ns: int, left: float, over_s: float) -> float:
+    def remaining_share(self, t_ns: int, left: float, over_s: float) -> float:
         """Share left of a quantity that falls linearly from 1 to `left` within `over_s` of the start."""
         over_ns = nanoseconds(over_s)
         passed = 1.0 if over_ns <= 0 else min((t_ns - self.start_ns) / over_ns, 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-Start = Literal["by use", "tethered", "running", "off"]
+InitialSupport = Literal["by use", "tethered", "running", "off"]
 
 _CARRIED = 0.5
 """Share of the force at the working point that holds the robot: slightly more than a melamine wall needs."""
@@ -18,7 +18,7 @@ class Tether:
         working_n: holding force of the tether.
     """
 
-    def __init__(self, start: Start, working_n: float) -> None:
+    def __init__(self, start: InitialSupport, working_n: float) -> None:
         self._working_n, self.holds = working_n, start == "tethered"
 
     def force_n(self, own_n: float) -> float:

@@ -31,7 +31,7 @@ def same_rate(one: float, other: float) -> bool:
     return abs(one - other) <= TOLERANCE * max(one, other)
 
 
-def heard(data: bytes, sent_baud: float, own_baud: float) -> bytes:
+def decode_at_baud(data: bytes, sent_baud: float, own_baud: float) -> bytes:
     """Return the bytes that a UART receiver decodes.
 
     It starts at each falling edge and samples the line in the middle of each of its own bits: a start bit,
@@ -202,7 +202,7 @@ class SerialLine(Scheduled):
         while self._out and self._out[0][0] <= t_ns:
             _, data, baud = self._out.popleft()
             rate = self._chip_baud(baud, t_ns)
-            known = data if same_rate(rate, baud) else heard(data, baud, rate)
+            known = data if same_rate(rate, baud) else decode_at_baud(data, baud, rate)
             replies = self.chip.receive(known, t_ns, rate)
             if replies:
                 self._answer(replies, baud, t_ns)
@@ -228,7 +228,7 @@ class SerialLine(Scheduled):
     def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
         faultless, rate = self.faults.empty, self._chip_baud(baud, t_ns)
         for ready_ns, reply in replies:
-            data = reply if same_rate(rate, baud) else heard(reply, rate, baud)
+            data = reply if same_rate(rate, baud) else decode_at_baud(reply, rate, baud)
             for piece in (data,) if faultless else self._spoil(data, t_ns):
                 free_ns = self._in_free_ns
                 self._deliver(piece, ready_ns if ready_ns > free_ns else free_ns, rate)
@@ -249,7 +249,7 @@ class SerialLine(Scheduled):
 
         def hit(kind: str) -> bool:
             fault = faults.find(self.chip.name, kind, t_ns)
-            return fault is not None and fault.strikes(self._rng)
+            return fault is not None and fault.hits(self._rng)
 
         if faults.find(self.chip.name, "unplug", t_ns) or hit("drop"):
             return ()

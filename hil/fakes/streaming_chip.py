@@ -95,9 +95,9 @@ class StreamingChip:
         """Return the present measurement with its faults, or None if nothing is sent."""
         off = any(self.fault(kind, t_ns) is not None for kind in ("off", "brownout"))
         was_off, self._was_off = self._was_off, off
-        if (was_off and not off) or self.faults.news("reset", t_ns) is not None:
+        if (was_off and not off) or self.faults.first_activation("reset", t_ns) is not None:
             self.reset(t_ns)
-        self._due_ns = t_ns + round(self._period_ns() * self.faults.slowness(t_ns))
+        self._due_ns = t_ns + round(self._period_ns() * self.faults.period_factor(t_ns))
         return None if self._is_down(t_ns) else self._shown(t_ns)
 
     def _shown(self, t_ns: int) -> Any:
@@ -105,7 +105,7 @@ class StreamingChip:
         stuck = self.fault("stuck", t_ns) is not None
         self._frozen = (self._frozen or measured) if stuck else None
         silent = self.fault("intermittent", t_ns)
-        return None if silent is not None and silent.interrupts(t_ns) else self._frozen or measured
+        return None if silent is not None and silent.silences(t_ns) else self._frozen or measured
 
     def _delay_ns(self, t_ns: int) -> int:
         return nanoseconds(self.delay_s) + self.faults.lateness_ns(t_ns)

@@ -63,7 +63,7 @@ class BusCycle:
         bus = self._bus or self._opened(t_ns)
         if bus is not None:
             self._listen(bus, t_ns)
-        order = self.control.order(t_ns)
+        order = self.control.next_command(t_ns)
         if order is None:
             self.sent_ns, self.worst_gap_ns = None, 0
         elif bus is not None:
@@ -126,7 +126,7 @@ class BusCycle:
                 self._take((message.arbitration_id, bytes(message.data)), t_ns)
 
     def _take(self, frame: Wire, t_ns: int) -> None:
-        content = self._protocol.hear(*frame)
+        content = self._protocol.decode(*frame)
         if content is None:
             return
         if content.order is None:
@@ -137,11 +137,11 @@ class BusCycle:
                 self._say(
                     f"another program commands this fan: {content.order.quantity} {content.order.value:.4g}"
                 )
-            self.control.overheard(t_ns, content.order)
+            self.control.observe_command(t_ns, content.order)
 
     def _send(self, bus: can.BusABC, order: SetPoint, t_ns: int) -> None:
         try:
-            for frame_id, data in self._protocol.say(order, t_ns):
+            for frame_id, data in self._protocol.encode(order, t_ns):
                 self._mine.append((frame_id, data))
                 bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=True))
         except BUS_ERRORS as error:

@@ -152,7 +152,7 @@ def log_path(spec: Spec) -> Path:
     return Path(base) / "hil" / f"adhesion-{re.sub('[^A-Za-z0-9.]+', '-', spec.name)}.log"
 
 
-class Starting:
+class DaemonLaunch:
     """A daemon process that is starting, and outlives this one.
 
     Args:
@@ -177,7 +177,7 @@ class Starting:
         )
         self._text = b""
 
-    def said(self, timeout_s: float) -> dict[str, Any] | None:
+    def first_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Its first line of output, with `pid` or `error`, within `timeout_s`; None before it has come."""
         assert self._child.stdout is not None
         descriptor = self._child.stdout.fileno()
@@ -212,8 +212,8 @@ def find_or_start(spec: Spec) -> socket.socket:
     found = connect(spec)
     if found is not None:
         return found
-    starting = Starting(spec, emulated=is_emulated(spec.bus))
-    said = starting.said(_START_S) or {"error": f"no output for {_START_S:g} s"}
+    starting = DaemonLaunch(spec, emulated=is_emulated(spec.bus))
+    said = starting.first_line(_START_S) or {"error": f"no output for {_START_S:g} s"}
     starting.leave()
     found = connect(spec)
     if found is None:

@@ -17,8 +17,8 @@ from hil.core.errors import DeviceError, HilError
 from hil.fan_daemon.bus_cycle import BusCycle, open_bus
 from hil.fan_daemon.client import (
     Connection,
+    DaemonLaunch,
     Request,
-    Starting,
     Status,
     ask,
     connect,
@@ -68,7 +68,7 @@ class FailoverClient(MotorCommander):
     def _forget(self) -> None:
         self._emulation = Emulation(self._spec.bus)
         self._link: Connection | None = None
-        self._starting: Starting | None = None
+        self._starting: DaemonLaunch | None = None
         self._status: Status = {}
         self._wish: Request | None = None
         self._refused: HilError | None = None
@@ -264,7 +264,7 @@ class FailoverClient(MotorCommander):
         if wish["do"] == "off":
             self._cycle.control.end(t_ns)
         else:
-            self._cycle.control.wish(t_ns, SetPoint(str(wish["quantity"]), float(str(wish["value"]))))
+            self._cycle.control.set_target(t_ns, SetPoint(str(wish["quantity"]), float(str(wish["value"]))))
 
     def _has_taken_over(self) -> bool:
         """Whether the daemon sends what the bench sends."""
@@ -298,13 +298,13 @@ class FailoverClient(MotorCommander):
                 self._starting.leave()
                 self._starting = None
         elif self._starting is not None:
-            said = self._starting.said(0.0)
+            said = self._starting.first_line(0.0)
             if said is not None:
                 self._starting = None
                 if "pid" not in said:
                     self._say(f"{self._spec.device}: a new daemon did not start: {said.get('error')}")
         elif t_ns >= self._next_try_ns:
-            self._starting = Starting(self._spec, emulated=self._emulation.known)
+            self._starting = DaemonLaunch(self._spec, emulated=self._emulation.known)
             self._next_try_ns = t_ns + _AGAIN_NS
 
     def _stay_out(self, t_ns: int, why: DeviceError) -> None:
@@ -313,7 +313,7 @@ class FailoverClient(MotorCommander):
         if self._shut_out != why.message:
             self._shut_out = why.message
             self._say(str(why))
-        if self._starting is not None and self._starting.said(0.0) is not None:
+        if self._starting is not None and self._starting.first_line(0.0) is not None:
             self._starting = None
 
     def _our_wish(self) -> Request | None:

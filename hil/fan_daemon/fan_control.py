@@ -99,7 +99,7 @@ class FanControl:
         if running is not None and self.sent is None:
             self._take_over(t_ns, running)
 
-    def overheard(self, t_ns: int, order: SetPoint) -> None:
+    def observe_command(self, t_ns: int, order: SetPoint) -> None:
         """Take another program's set-point for this fan: it is exact, the fan's report is rounded.
 
         A fan that was taken over follows that program's set-points, down to rest as well, until this daemon
@@ -126,7 +126,7 @@ class FanControl:
         self._last_ns = t_ns
         self.sent, self.target, self.ending = self._clipped(sent), self._clipped(target), False
 
-    def wish(self, t_ns: int, wanted: SetPoint) -> None:
+    def set_target(self, t_ns: int, wanted: SetPoint) -> None:
         """Change the set-point; cancels an `end` that is under way.
 
         Raises:
@@ -146,7 +146,7 @@ class FanControl:
         if self.sent is not None:
             self.target, self.ending, self._theirs = SetPoint(self.sent.quantity, 0.0), True, False
 
-    def order(self, t_ns: int) -> SetPoint | None:
+    def next_command(self, t_ns: int) -> SetPoint | None:
         """The set-point to send now; None while the fan is not commanded."""
         self._born(t_ns)
         step_s = min(t_ns - self._last_ns, _LONGEST_STEP_NS) / NS_PER_S

@@ -177,7 +177,7 @@ class Process:
         now_ns, do = time.monotonic_ns(), asked.get("do")
         if do == "set":
             point = _point(asked)
-            self._control.wish(now_ns, point)
+            self._control.set_target(now_ns, point)
             self._setters.add(peer.pid)
             self._log_set_point(now_ns, str(peer), point)
             if self._cycle.sent_ns is None:

@@ -20,7 +20,7 @@ Wire = tuple[int, bytes]
 """Identifier and data of an extended frame."""
 
 
-class Heard(NamedTuple):
+class DecodedFrame(NamedTuple):
     """The content of a frame: how a controller runs, or a set-point that some program sent to it.
 
     Attributes:
@@ -40,11 +40,11 @@ class MotorProtocol(Protocol):
     """The frames of one kind of controller, for one fan."""
 
     @abstractmethod
-    def say(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
+    def encode(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
         """The frames that set a set-point, sent at `t_ns`."""
 
     @abstractmethod
-    def hear(self, frame_id: int, data: bytes | bytearray) -> Heard | None:
+    def decode(self, frame_id: int, data: bytes | bytearray) -> DecodedFrame | None:
         """The content of an extended frame; None for one that the daemon has no use for."""
 
 
@@ -59,12 +59,12 @@ class Vesc(MotorProtocol):
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
 
-    def say(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
+    def encode(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
         """A `SET_*` frame for each controller."""
         packet, ids = _PACKETS[point.quantity], (self._spec.controller_id, *self._spec.also)
         return tuple(vesc.order_frame(vesc.Order(one, packet, point.value)) for one in ids)
 
-    def hear(self, frame_id: int, data: bytes | bytearray) -> Heard | None:
+    def decode(self, frame_id: int, data: bytes | bytearray) -> DecodedFrame | None:
         """Status 1, 4 and 5, and the set-points of all programs."""
         if frame_id & 0xFF in self._spec.also:
             return None
@@ -72,16 +72,16 @@ class Vesc(MotorProtocol):
         if isinstance(message, vesc.Status):
             figures = {"duty": message.duty, "current_a": message.current_a, "erpm": message.erpm}
             running = SetPoint("duty", message.duty) if message.duty >= _RUNNING_DUTY else None
-            return Heard(message.controller_id, figures, running)
+            return DecodedFrame(message.controller_id, figures, running)
         if isinstance(message, vesc.Status4):
-            return Heard(message.controller_id, {"fet_c": message.fet_c, "input_a": message.input_a})
+            return DecodedFrame(message.controller_id, {"fet_c": message.fet_c, "input_a": message.input_a})
         if isinstance(message, vesc.Status5):
-            return Heard(message.controller_id, {"input_v": message.input_v})
+            return DecodedFrame(message.controller_id, {"input_v": message.input_v})
         if isinstance(message, vesc.Order) and message.packet in _QUANTITIES:
             if message.controller_id not in (self._spec.controller_id, ALL_SERVOS):
                 return None
             point = SetPoint(_QUANTITIES[message.packet], message.value)
-            return Heard(self._spec.controller_id, order=point)
+            return DecodedFrame(self._spec.controller_id, order=point)
         return None
 
 
@@ -112,7 +112,7 @@ class DroneCan(MotorProtocol):
         self._began_ns: int | None = None
         self._status_due_ns = 0
 
-    def say(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
+    def encode(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
         """A command frame, and once a second a NodeStatus of this node."""
         kind, ids = dronecan.RAW_COMMAND, self._raw_ids
         value = round(dronecan.FULL_RAW * point.value) if point.quantity == "duty" else 0
@@ -130,7 +130,7 @@ class DroneCan(MotorProtocol):
         here = dronecan.node_status_frame(uptime_s, node_id=self._node_id, transfer_id=next(self._status_ids))
         return command, here
 
-    def hear(self, frame_id: int, data: bytes | bytearray) -> Heard | None:
+    def decode(self, frame_id: int, data: bytes | bytearray) -> DecodedFrame | None:
         """The fan's status, and the set-points of all programs."""
         status = self._reader.take(frame_id, data)
         if status is not None and status.index == self._index:
@@ -141,9 +141,9 @@ class DroneCan(MotorProtocol):
         kind, value = found
         raw = kind == dronecan.RAW_COMMAND
         point = SetPoint("duty", value / dronecan.FULL_RAW) if raw else SetPoint("erpm", float(value))
-        return Heard(self._spec.controller_id, order=point)
+        return DecodedFrame(self._spec.controller_id, order=point)
 
-    def _status(self, status: dronecan.EscStatus) -> Heard:
+    def _status(self, status: dronecan.EscStatus) -> DecodedFrame:
         figures = {"erpm": float(status.rpm)}
         known = {
             "current_a": status.current_a,
@@ -155,7 +155,7 @@ class DroneCan(MotorProtocol):
         if free_rpm > abs(status.rpm):
             figures["duty"] = abs(status.rpm) / free_rpm
         running = SetPoint("erpm", float(status.rpm)) if status.rpm >= _RUNNING_RPM else None
-        return Heard(status.node_id, figures, running)
+        return DecodedFrame(status.node_id, figures, running)
 
 
 _PROTOCOLS: Mapping[str, Callable[[Spec], MotorProtocol]] = {"vesc": Vesc, "dronecan": DroneCan}

@@ -222,8 +222,8 @@ class CanLink:
         self._await(read, nanoseconds(wait_s))
         return [read.popleft() for _ in range(len(read))]
 
-    def listen_for(self, meaning: Meaning) -> None:
-        """From now on `heard` gives the samples that `meaning` makes of frames, and `take` gives nothing.
+    def set_decoder(self, meaning: Meaning) -> None:
+        """From now on `read_samples` gives the samples that `meaning` makes of frames; `take` gives nothing.
 
         Frames that wait are dropped: they are older than the next reader would assume.
         """
@@ -232,8 +232,8 @@ class CanLink:
                 break
         self._meaning = meaning
 
-    def heard(self) -> list[Any]:
-        """Samples of the frames since the last call, oldest first, once `listen_for` was called.
+    def read_samples(self) -> list[Any]:
+        """Samples of the frames since the last call, oldest first, once `set_decoder` was called.
 
         After 0.3 s without a call it waits up to 0.1 s for a sample, so that the thread can catch up.
         """

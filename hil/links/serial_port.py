@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError
-from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, close_quietly, open_serial
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ class SerialPort:
 
     def close(self) -> None:
         """Close the port; never raises."""
-        let_go(self._port)
+        close_quietly(self._port)
 
     def read_available(self) -> bytes:
         """Bytes that have arrived; never waits. Raises `PortLostError`."""

@@ -47,7 +47,7 @@ PORT_ERRORS = _port_errors()
 """What pyserial lets through when a port fails under it; `SerialException` is an `OSError`."""
 
 
-def let_go(port: Any) -> None:
+def close_quietly(port: Any) -> None:
     """Close a port, if there is one; never raises."""
     if port is not None:
         with contextlib.suppress(*PORT_ERRORS):

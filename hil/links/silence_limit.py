@@ -14,7 +14,7 @@ USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN)
 """A sender of poses whose poses all have one of these statuses counts as silent."""
 
 
-class Usefulness:
+class SilenceTimer:
     """Measures how long a device has sent nothing useful; pauses in which it was not read do not count.
 
     Args:
@@ -33,7 +33,7 @@ class Usefulness:
         self.good_ns = self._asked_ns = now_ns
         self._between_ns = 0
 
-    def lost_ns(self, useful: bool, now_ns: int) -> int:
+    def overdue_ns(self, useful: bool, now_ns: int) -> int:
         """Time without useful data, ns, once that exceeds the limit; else 0.
 
         Args:

@@ -11,7 +11,7 @@ from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceTimeoutError
 from hil.core.interfaces import Sensor
 from hil.core.signals import Stamp
-from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.silence_limit import SilenceTimer, used_while_closed
 from hil.links.stuck_values import StuckTest
 
 C = TypeVar("C", bound=DeviceConfig)
@@ -53,7 +53,7 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         self.stuck = StuckTest(getattr(config, "stuck_after_s", _STUCK_S))
         self._latency_ns = nanoseconds(getattr(config, "latency_s", 0.0))
         fail_ns = max(nanoseconds(table.fail_after_s), _FEWEST * self.period_ns)
-        self._silence = Usefulness(fail_ns / NS_PER_S)
+        self._silence = SilenceTimer(fail_ns / NS_PER_S)
         self._identity: dict[str, str] = {}
         self._sequence = self._t_ns = 0
         self.heard_ns = 0
@@ -121,9 +121,9 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         whole = any(item is not None for item, _ in items)
         if whole:
             self.heard_ns = now_ns
-        if lost_ns := self._silence.lost_ns(whole, now_ns):
+        if overdue_ns := self._silence.overdue_ns(whole, now_ns):
             gone = "; its port has gone" if self.port_gone else ""
-            raise self.silent(f"no {self.what} for {lost_ns / NS_PER_S:.1f} s{gone}")
+            raise self.silent(f"no {self.what} for {overdue_ns / NS_PER_S:.1f} s{gone}")
         return tuple(self.sample(item, self._stamp(arrived_ns, now_ns)) for item, arrived_ns in items)
 
     def silent(self, what: str) -> DeviceTimeoutError:

@@ -63,7 +63,7 @@ class PublisherWatch:
             since_ns = self._since_ns.setdefault(handle, t_ns)
             if handle not in self._warned and t_ns - since_ns > _PATIENCE_S * NS_PER_S:
                 self._warned.add(handle)
-                why = self._topic.why_silent() if handle else self._topic.why_none()
+                why = self._topic.silent_message() if handle else self._topic.none_message()
                 LOG.warning("no command within %d s: %s", _PATIENCE_S, why)
 
     def _changed(self) -> None:
@@ -95,7 +95,7 @@ class TwistCommands(CommandLines):
             SafetyStop: two publishers, or an invalid command.
         """
         if len(self._topic.publishers()) > 1:
-            raise SafetyStop(PUBLISHERS, self._topic.why_several())
+            raise SafetyStop(PUBLISHERS, self._topic.several_message())
         lines = [self._line(command) for command in commands_of(self._topic.take(), 0, 0)]
         self._taken += len(lines)
         return lines

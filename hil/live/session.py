@@ -19,7 +19,7 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import Aborted, HilError
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink
-from hil.core.registry import heard_in
+from hil.core.registry import sample_names
 from hil.core.signals import CycleRecord, Status, worst
 from hil.live.reference_files import MakeTrajectory
 from hil.live.velocity_input import CommandLines
@@ -77,7 +77,7 @@ class SampleCounter(Sink):
 
     def write(self, record: CycleRecord) -> None:
         """Count one cycle's samples."""
-        for name in heard_in(record.inputs):
+        for name in sample_names(record.inputs):
             for sample in record.inputs.of(name):
                 self.counts[name].add(sample)
 

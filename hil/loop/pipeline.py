@@ -30,7 +30,7 @@ from hil.loop.alignment import Alignment
 from hil.loop.cycle_data import NO_INFLATION, Cycle
 from hil.loop.restart import Restart
 from hil.loop.supervisor import Supervisor
-from hil.loop.user_parts import asked, controlled, own_name, reset_estimator
+from hil.loop.user_parts import call_controller, checked_update, own_name, reset_estimator
 
 OUTSIDE = "loop"
 """Source of the event in the last record of a run that was ended by something other than its pipeline."""
@@ -104,8 +104,8 @@ class ControlPipeline:
 
     def _ask(self) -> None:
         """Bind the update function of each part; results of user-supplied parts are checked."""
-        self._estimate = asked(self.estimator)
-        self._observe = {name: asked(observer) for name, observer in self.observers.items()}
+        self._estimate = checked_update(self.estimator)
+        self._observe = {name: checked_update(observer) for name, observer in self.observers.items()}
         self.supervisor.observers.checked = tuple(n for n, one in self.observers.items() if own_name(one))
         self._checks_controller = bool(own_name(self.controller))
 
@@ -149,7 +149,7 @@ class ControlPipeline:
         safety.check_samples(cycle)  # 3
         if cycle.inflation != NO_INFLATION:
             self._inflate(*cycle.inflation)
-        believed = safety.left_out.believed(cycle.measurements)
+        believed = safety.left_out.without_excluded(cycle.measurements)
         state = self._states[_OWN] = self._estimate(believed)  # 4
         cycle.state = state = _with_figures(state, cycle.diagnostics) if cycle.diagnostics else state
         cycle.observers = {name: observe(believed) for name, observe in self._observe.items()}
@@ -206,7 +206,7 @@ class ControlPipeline:
                 cycle.events.append(Event(cycle.inputs.t_ns, "warning", OUTSIDE, self.external.warning))
         elif self.controller is not None and reference is not None and wheels is not None:
             if self._checks_controller:
-                setpoint = controlled(self.controller, measurements.cycle, state, reference, wheels)
+                setpoint = call_controller(self.controller, measurements.cycle, state, reference, wheels)
             else:
                 setpoint = self.controller.update(state, reference, wheels)
         if setpoint is None:

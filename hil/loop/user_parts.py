@@ -48,7 +48,7 @@ def reset_estimator(estimator: Estimator, state: RobotState) -> None:
     estimator.reset(_copied(state, _STATE) if own_name(estimator) else state)
 
 
-def asked(estimator: Estimator) -> Callable[[Measurements], RobotState]:
+def checked_update(estimator: Estimator) -> Callable[[Measurements], RobotState]:
     """Update function of an estimator, which takes one cycle's measurements and returns a state.
 
     For a user-supplied estimator it raises `UsageError` if the result is no state, or has invalid fields.
@@ -72,7 +72,7 @@ def _checked(estimator: Estimator, measurements: Measurements) -> RobotState:
     return _copied(found, _STATE, t_ns=int(found.t_ns), diagnostics=figures)
 
 
-def controlled(
+def call_controller(
     controller: Controller, cycle: int, state: RobotState, reference: Reference, wheels: WheelMeasurement
 ) -> WheelSetpoint:
     """Call a user-supplied controller and check its setpoint.

@@ -13,8 +13,8 @@ import numpy as np
 from hil.core.clock import NS_PER_S
 from hil.core.device import DeviceKind, Figures
 from hil.core.geometry import Array, wrap
-from hil.core.package_errors import PackageError, asked
-from hil.core.registry import heard_in, kinds
+from hil.core.package_errors import PackageError, call_in_package
+from hil.core.registry import kinds, sample_names
 from hil.core.signals import CycleRecord, Inputs, Status
 
 LOG = logging.getLogger(__name__)
@@ -107,7 +107,7 @@ class SeriesCollector:
 
     def _figures(self, record: CycleRecord) -> Iterator[tuple[str, Figures]]:
         inputs, state = record.inputs, record.state
-        for kind in map(kinds().__getitem__, heard_in(inputs)):
+        for kind in map(kinds().__getitem__, sample_names(inputs)):
             yield from self._of_kind(kind, inputs)
         yield "state/twist", _named(("v_x_m_s", "v_y_m_s", "omega_rad_s"), state.twist_body)
         heading = {"estimate": float(state.pose_body_in_wall[2])}
@@ -126,7 +126,7 @@ class SeriesCollector:
         if kind.name in self._failed:
             return ()
         try:
-            return asked(kind.name, kind.package, "figures", lambda: tuple(kind.figures(inputs)))
+            return call_in_package(kind.name, kind.package, "figures", lambda: tuple(kind.figures(inputs)))
         except PackageError as error:
             self._failed.add(kind.name)
             LOG.warning("%s", error)
@@ -134,7 +134,7 @@ class SeriesCollector:
 
     def _ages(self, record: CycleRecord) -> Figures:
         """Age of every device's newest sample, ms."""
-        for name in heard_in(record.inputs):
+        for name in sample_names(record.inputs):
             samples = record.inputs.of(name)
             if samples:
                 self._seen_ns[name] = samples[-1].stamp.t_ns
@@ -156,7 +156,7 @@ def _diagnostics(record: CycleRecord) -> Iterator[tuple[str, Figures]]:
 def conditions(record: CycleRecord) -> dict[str, str]:
     """What is wrong with each device's newest sample, in words; empty text when nothing is."""
     found = {}
-    for name in heard_in(record.inputs):
+    for name in sample_names(record.inputs):
         samples = record.inputs.of(name)
         if not samples:
             continue

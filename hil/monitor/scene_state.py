@@ -19,7 +19,7 @@ import numpy as np
 from hil.core.clock import NS_PER_S
 from hil.core.device import DeviceKind, Force
 from hil.core.geometry import Array, between, se2_log
-from hil.core.package_errors import PackageError, asked
+from hil.core.package_errors import PackageError, call_in_package
 from hil.core.registry import further, kinds
 from hil.core.signals import CycleRecord, Inputs
 from hil.monitor import solid_geometry
@@ -137,7 +137,7 @@ class Moments:
         """Forces of a device kind; if its package raises, they are left out from then on, with a warning."""
         own = self._scene.devices.get(kind.name)
         try:
-            return asked(
+            return call_in_package(
                 kind.name, kind.package, "forces", lambda: tuple(kind.forces(inputs, self._scene.robot, own))
             )
         except PackageError as error:

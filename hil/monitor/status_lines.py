@@ -11,7 +11,7 @@ from typing import Any
 
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.interfaces import HELD_NOTE, Sink
-from hil.core.registry import heard_in
+from hil.core.registry import sample_names
 from hil.core.signals import CycleRecord, Status, worst
 
 _EVERY_NS = NS_PER_S // 2
@@ -40,7 +40,7 @@ class StatusStream(Sink):
         """Count the samples of one cycle; pass on the figures when they are due."""
         if self._begun_ns is None:
             self._begun_ns = record.inputs.t_ns
-        for name in heard_in(record.inputs):
+        for name in sample_names(record.inputs):
             samples = record.inputs.of(name)
             if samples:
                 self._counts[name] = self._counts.get(name, 0) + len(samples)

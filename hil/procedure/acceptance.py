@@ -207,7 +207,7 @@ class _Running:
         """Run the checks of `hil doctor`."""
         stage, total = self.stages[DOCTOR], len(self._config.devices())
         self._request.report(DOCTOR, 0, total)
-        with self._request.interrupts.heeded():
+        with self._request.interrupts.interruptible():
             bench, stage.findings = self._opened()
             seen = {f.device for f in stage.findings}
             for finding in examine(bench, watch_s=self._request.watch_s):
@@ -249,7 +249,7 @@ class _Running:
     def _one(self, stage: Stage, device: str, promise: str, check: Callable[[], str]) -> None:
         """Run one check; a signal before or during the check ends the acceptance."""
         self._request.interrupts.finish_here()
-        with self._request.interrupts.heeded():
+        with self._request.interrupts.interruptible():
             finding = judged(device, promise, check)
             self._request.interrupts.stop_here()  # an interrupted check says nothing about the device
         stage.findings.append(finding)
@@ -259,7 +259,7 @@ class _Running:
         asked = self._request
         if "servos" not in asked.source.real or asked.on_stand:
             return
-        with asked.interrupts.heeded():
+        with asked.interrupts.interruptible():
             answer = asked.operator.ask(QUESTION)
         if answer.strip().lower() != "yes":
             raise Aborted(

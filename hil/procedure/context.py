@@ -99,11 +99,11 @@ class Context:
         changed = self.source.changed(seed=seed, calibration=calibration, overrides=overrides)
         return self.benches.reopen(changed, label, prompt)
 
-    def at_once(self, errands: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
+    def at_once(self, jobs: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
         """Drive benches in worker processes. The run's own bench, if open, is not changed.
 
         Args:
-            errands: drive jobs.
+            jobs: drive jobs.
             workers: processes that run them.
 
         Yields:
@@ -112,7 +112,7 @@ class Context:
         Raises:
             HilError: the error that ended one of the jobs early.
         """
-        return self.benches.at_once(errands, workers)
+        return self.benches.at_once(jobs, workers)
 
     def prompt(self, question: str) -> str:
         """Ask the operator; return the answer. Raises `Aborted` without an operator."""

@@ -23,7 +23,7 @@ from hil.datasets.plain_csv import write_plain
 from hil.loop.driven_motion import Motion
 from hil.procedure.needed_devices import leaving
 from hil.procedure.scripted_joints import Stretch, play
-from hil.procedure.tracking_errors import STAGGER_S, stand
+from hil.procedure.tracking_errors import STAGGER_S, enable_hold
 from hil.robot.kinematics import WheelGeometry, inverse
 from hil.robot.motion_limits import slowed
 from hil.robot.trajectories import Trajectory, circle, line
@@ -144,11 +144,11 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> None:
     The first rest is a little longer in every repetition and part, so that two worlds of one seed do not
     repeat each other's noise.
     """
-    pose = stand(bench, 0.5 + STAGGER_S * (repetition.number + 0.5 * repetition.part))
+    pose = enable_hold(bench, 0.5 + STAGGER_S * (repetition.number + 0.5 * repetition.part))
     backwards = repetition.number % 2 == 0
     for name in repetition.motions:
         take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)
-        pose = stand(bench)
+        pose = enable_hold(bench)
         path = followed(name, pose, repetition.sizes, bench.geometry, bench.config, backwards=backwards)
         motion = bench.drive(path, feedback=repetition.feedback, hold_s=repetition.hold_s, start_pose=pose)
         file = repetition.folder / repetition.file(name)

@@ -43,12 +43,12 @@ class Sent(Generic[Result]):
     """A drive job with settings of the run.
 
     Attributes:
-        errand: the drive job.
+        job: the drive job.
         recording: file to write; None for none.
         on_failure: whether a full disk stops the run.
     """
 
-    errand: DriveJob[Result]
+    job: DriveJob[Result]
     recording: Path | None
     on_failure: OnFailure
 
@@ -95,7 +95,7 @@ def driven(sent: Sent[Any]) -> Driven:
     Raises:
         Exception: any error that is not a `HilError`, for example a mistake in `drive`.
     """
-    bench = sent.errand.source.open()
+    bench = sent.job.source.open()
     bench.warns_not_held = False
     hold, path, fit = HoldHistory(), PathHistory(), FitHistory()
     tethered = bench.config.safety.tethered
@@ -111,7 +111,7 @@ def driven(sent: Sent[Any]) -> Driven:
         with bench:
             begin_ns = bench.clock.now_ns()
             try:
-                result = sent.errand.drive(bench)
+                result = sent.job.drive(bench)
             finally:
                 driven_s = (bench.clock.now_ns() - begin_ns) / NS_PER_S
     except HilError as caught:

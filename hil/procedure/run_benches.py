@@ -208,16 +208,16 @@ class RunBenches:
     def _came(self, world_ns: int, looked_ns: int) -> None:
         self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
 
-    def at_once(self, errands: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
+    def at_once(self, jobs: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
         """As `Context.at_once`."""
         sent: list[Sent[Result]] = []
-        for errand in errands:
+        for job in jobs:
             taken = [s.recording for s in sent]
-            path = self._recordings.path(errand.label, taken) if errand.label else None
-            sent.append(Sent(errand, path, self._recordings.on_failure))
+            path = self._recordings.path(job.label, taken) if job.label else None
+            sent.append(Sent(job, path, self._recordings.on_failure))
         from hil.bench.hold.result import abandoned
 
-        waiting = [(self.left.begin(one.errand.label), one.recording) for one in sent]
+        waiting = [(self.left.begin(one.job.label), one.recording) for one in sent]
         failed = False
         try:
             for found in workers.at_once(driven, sent):

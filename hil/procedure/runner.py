@@ -57,7 +57,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
     Raises:
         HilError: a problem found before anything could move (configuration, parameters, journal).
     """
-    with options.interrupts.heeded():  # nothing is open, and functions of the script may hang
+    with options.interrupts.interruptible():  # nothing is open, and functions of the script may hang
         given = with_own_devices(proc.parameters, options.parameters, source.config)
         parameters = make_parameters(proc.parameters, given, proc.name)
         proc.check_needs(source.config)
@@ -163,7 +163,7 @@ def _execute(context: Context) -> tuple[Failure | None, list[Failure], dict[str,
     benches, limit_s = context.benches, context.proc.teardown_s
     error: Failure | None = None
     try:
-        with context.options.interrupts.heeded():
+        with context.options.interrupts.interruptible():
             context.proc.perform(context)
             benches.show_histories()
     except BaseException as problem:  # the robot is held and results are kept after any error of a script

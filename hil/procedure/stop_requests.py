@@ -129,7 +129,7 @@ class Interrupts:
             self._deferred -= 1
 
     @contextmanager
-    def heeded(self) -> Iterator[None]:
+    def interruptible(self) -> Iterator[None]:
         """Within a deferred block, allow a stop at once."""
         deferred, self._deferred = self._deferred, 0
         try:

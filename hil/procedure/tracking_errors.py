@@ -44,7 +44,7 @@ LABELS = {"odometry": "odometry", "ekf": "EKF", "ukf": "UKF", "optimal": "EKF, o
 _DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
 
 
-def refuse_what_cannot_be_followed(config: BenchConfig, references: Iterable[Trajectory]) -> None:
+def check_references(config: BenchConfig, references: Iterable[Trajectory]) -> None:
     """Check every reference of a run against the bench's limits before anything is opened or moved.
 
     Raises:
@@ -54,7 +54,7 @@ def refuse_what_cannot_be_followed(config: BenchConfig, references: Iterable[Tra
         check(trajectory, geometry_of(config).projection(), motion_limits(config))
 
 
-def stand(bench: Bench, duration_s: float = 0.5) -> Array:
+def enable_hold(bench: Bench, duration_s: float = 0.5) -> Array:
     """Enable the hold on the wall; return the pose of the standing robot, (3,)."""
     bench.rig.actuators().enable()
     return bench.settle(duration_s)

@@ -209,7 +209,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
     """Register every bench that is opened during a test."""
-    from hil.core.opened_benches import shown_to
+    from hil.core.opened_benches import on_bench_opened
 
     def opened(found: Bench) -> None:
         from hil.pytest_plugin.benches_of_tests import see
@@ -219,7 +219,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
 
     stash = item.config.stash
     stash[_STAND_INS] = item.get_closest_marker("opens_stand_ins") is not None
-    with shown_to(opened):
+    with on_bench_opened(opened):
         yield
     stash[_STAND_INS] = False
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from hil.config.bench import BenchConfig
-from hil.config.several_devices import meant
+from hil.config.several_devices import resolve_device
 from hil.core.errors import HilError, UsageError
 from hil.core.registry import kind_of, kinds, which_device
 from hil.procedure.bench_request import BenchSource
@@ -188,7 +188,7 @@ def _must_have_bench(item: pytest.Item) -> None:
 def _impossible(item: pytest.Item, source: BenchSource) -> str:
     config = source.config
     devices, emulated, labels = config.devices(), config.emulated(), config.labels()
-    needed = tuple(meant(name, labels) for name in _needed(item))
+    needed = tuple(resolve_device(name, labels) for name in _needed(item))
     missing = [name for name in needed if name not in devices]
     if missing:
         return f"needs {', '.join(missing)}, which bench {config.name} lacks"
@@ -197,7 +197,7 @@ def _impossible(item: pytest.Item, source: BenchSource) -> str:
         if fake:
             return f"real_only: bench {config.name} emulates {', '.join(fake)}"
     for fault in _faults(item):
-        device = meant(_device(fault.device.partition(".")[0]), labels)
+        device = resolve_device(_device(fault.device.partition(".")[0]), labels)
         message = f"fault {fault.device}:{fault.kind}: "
         if device in kinds() and device not in devices:
             return f"{message}bench {config.name} lacks {device}"

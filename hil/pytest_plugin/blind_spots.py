@@ -19,7 +19,7 @@ from _pytest.terminal import TerminalReporter
 from hil.core.errors import HilError, did_you_mean
 from hil.core.registry import kinds
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.faults import stands_for_itself
+from hil.procedure.faults import is_tested_itself
 from hil.pytest_plugin.bench_selection import in_several_processes, source_of, use_source
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def breakages(source: BenchSource) -> list[Breakage]:
 
 
 def _faulty(declared: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Iterator[Breakage]:
-    for device in filter(stands_for_itself, declared):
+    for device in filter(is_tested_itself, declared):
         for kind, options in declared[device].items():
             spec = f"{device}:{kind}@{AT_S:g}"
             yield Breakage(f"{device}:{kind}", (spec,), matters=kind not in _borne(device))

@@ -22,11 +22,11 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array, wrap_array
 from hil.core.interfaces import Estimator
 from hil.core.package_errors import of_a_script
-from hil.core.signals import CycleRecord, RobotState, heard
+from hil.core.signals import CycleRecord, RobotState, sensors_with_samples
 from hil.datasets.sampling import beside_rows, is_slow
 from hil.estimator.consistency import autocorrelation, nees
 from hil.loop.driven_motion import HELD_S, Motion
-from hil.loop.user_parts import asked, reset_estimator
+from hil.loop.user_parts import checked_update, reset_estimator
 from hil.recording.runs import RecordedRun
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import displacements, sample_path
@@ -73,7 +73,7 @@ def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotS
         UsageError: a user's estimator has returned no state, or a wrong one.
     """
     reset_estimator(estimator, start)
-    estimate = asked(estimator)
+    estimate = checked_update(estimator)
     return Motion(tuple(_with_state(r, estimate(r.measurements)) for r in records))
 
 
@@ -139,7 +139,7 @@ def compare_run(
     """
     if run.start is None:
         raise DataError(source, "does not say how its run began")
-    bench = fitting(bench, heard(r.measurements for r in run.records))
+    bench = fitting(bench, sensors_with_samples(r.measurements for r in run.records))
     start, config = run.start.state, bench.config
     filters = {kind: bench.make_estimator(kind) for kind in kinds if kind != "smoother"}
     motions = compare(run.records, filters, start)
@@ -228,7 +228,7 @@ def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
     values = nees(difference, motion.covariance[:, :3, :3]) if len(motion.records) else np.zeros(0)
     last = motion.records[-1].state.diagnostics if motion.records else {}
     known = values[np.isfinite(values)]
-    sensors = heard(r.measurements for r in motion.records)
+    sensors = sensors_with_samples(r.measurements for r in motion.records)
     out = {"nees_pose": float(known.mean()) if len(known) else np.nan}
     for name in ("wheels", "gyro", "tracker", "gravity"):
         out[f"nis_{name}"] = _mean_nis(last, name)

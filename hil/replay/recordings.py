@@ -75,7 +75,7 @@ class OpenedRecording:
         self.must_hold(len(self.runs), number)
         return self.runs[number]
 
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Warnings: a failed calibration; assumptions about a foreign recording; wrong wheels."""
         failed = [self.failed] if self.failed else []
         if not self.tables:

@@ -95,7 +95,7 @@ class Exchange:
         if came:
             self._received_ns = now_ns
         elif self._received and seen.inputs.t_ns - self._received_ns > nanoseconds(self._config.late_after_s):
-            return ExternalCommands((), trouble=self._topic.who())
+            return ExternalCommands((), trouble=self._topic.publishers_text())
         return self._passed_on(came, now_ns)
 
     def in_lockstep(self, seen: CycleRecord) -> ExternalCommands:
@@ -140,7 +140,7 @@ class Exchange:
     def _stop_of_publishers(self) -> ExternalCommands | None:
         if len(self._topic.publishers()) < 2:
             return None
-        return ExternalCommands((), PUBLISHERS, self._topic.why_several())
+        return ExternalCommands((), PUBLISHERS, self._topic.several_message())
 
     def _stop_of_silence(self, now_ns: int, *, received: bool) -> ExternalCommands | None:
         """In real time, stop if the first command does not come; later the controller checks the age."""
@@ -163,5 +163,5 @@ class Exchange:
 
     def _why(self) -> str:
         if not self._topic.publishers():
-            return self._topic.why_none()
-        return self._topic.why_silent()
+            return self._topic.none_message()
+        return self._topic.silent_message()

@@ -90,7 +90,7 @@ class CommandTopic:
             self._received_ns.update((writer, now_ns) for _, writer, _ in taken)
         return [(kind, data) for kind, _, data in taken]
 
-    def who(self) -> str:
+    def publishers_text(self) -> str:
         """Publishers in words: number, names, and time since the last command of each."""
         found = self.described()
         if not found:
@@ -104,18 +104,18 @@ class CommandTopic:
         killed = "" if lease_s is None else f"; one that was killed counts for up to {lease_s:g} s"
         return f"{len(found)} publisher{'s' * (len(found) > 1)}: {'; '.join(each)}{killed}"
 
-    def why_several(self) -> str:
+    def several_message(self) -> str:
         """Message about several publishers: which there are, and that only one may stay."""
-        return f"{self.name} has {self.who()}; end all but one"
+        return f"{self.name} has {self.publishers_text()}; end all but one"
 
-    def why_silent(self) -> str:
+    def silent_message(self) -> str:
         """Message about silent publishers: which they are, and what to check."""
         return (
-            f"{self.where} has {self.who()}; look whether it runs, and what it waits for; for ros2_control's "
-            "topic-based hardware set trigger_joint_command_threshold to -1"
+            f"{self.where} has {self.publishers_text()}; look whether it runs, and what it waits for; for "
+            "ros2_control's topic-based hardware set trigger_joint_command_threshold to -1"
         )
 
-    def why_none(self) -> str:
+    def none_message(self) -> str:
         """Message about a missing publisher: where it is expected, what else is published, what to check."""
         found = f"nothing publishes {self.where}"
         others = ", ".join(self._participant.other_types(self.name, self._types))

@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 from hil.config.ros2 import Ros2Config
 from hil.core.choices import HIGHEST_DOMAIN, DistributionName
 from hil.core.errors import ConfigError, UsageError
-from hil.support.extras import how_to_install, lacks
+from hil.support.extras import how_to_install, why_unusable
 
 _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 _LOOPBACK = "lo"
@@ -107,6 +107,6 @@ def domain_of(given: int | None, environment: Mapping[str, str]) -> int:
 
 def must_be_usable() -> None:
     """Raise `ConfigError` where the extra `ros2` cannot be used."""
-    why = lacks("ros2")
+    why = why_unusable("ros2")
     if why:
         raise ConfigError(f"ROS 2 needs the extra ros2: {why}", remedy=how_to_install("ros2"))

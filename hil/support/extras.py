@@ -58,7 +58,7 @@ def is_installed(extra: str) -> bool:
     return util.find_spec(MODULES[extra]) is not None
 
 
-def lacks(extra: str) -> str:
+def why_unusable(extra: str) -> str:
     """Why an extra cannot be used in this Python; empty if it can.
 
     That its module can be imported is not enough: another version may be incompatible. A module that was

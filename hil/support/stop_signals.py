@@ -52,7 +52,7 @@ class StopRequest:
         return handled_by(self.take)
 
 
-def deaf_from_now_on() -> None:
+def ignore_stop_signals() -> None:
     """Ignore these signals: the work is done and reported, and only the interpreter still has to end."""
     if threading.current_thread() is threading.main_thread():
         for number in STOPS:

@@ -28,7 +28,7 @@ from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.needed_devices import Device, only
 from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import inertial, integrated, poses
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.bring_up.jogs import (
     DriveJogs,
     SteerJogs,
@@ -295,7 +295,7 @@ def identify(ctx: Context, bench: Bench) -> None:
 def watch(ctx: Context, bench: Bench) -> bool:
     """Rest and measure the streams of all devices; return whether the tilt agrees with the bench file."""
     p: Parameters = ctx.parameters
-    stand(bench)
+    enable_hold(bench)
     motion = bench.observe(p.watch_s, feedback="odometry")
     _measure_punctuality(ctx, motion)
     streams: dict[str, Stream] = {name: judge_stream(name, motion, bench.config) for name in p.devices}
@@ -406,7 +406,7 @@ def move_body(ctx: Context, bench: Bench) -> None:
     p: Parameters = ctx.parameters
     rows = []
     for axis, name in enumerate(("x", "y", "heading")):
-        pose = stand(bench)
+        pose = enable_hold(bench)
         motion = bench.drive(steps(p, pose)[axis], feedback="odometry", hold_s=0.5, start_pose=pose)
         true = _went(motion, p.body, axis)
         row = [name, f"{true * (_DEG if axis == 2 else 1e3):+.2f}"]

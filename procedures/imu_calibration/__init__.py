@@ -28,7 +28,7 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import inertial, poses
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.imu_calibration.noise import BIAS_FACTOR, FEWEST, allan, evenly
 from hil.procedures.imu_calibration.report import draw_allan, draw_headings
 from hil.robot.trajectories import Trajectory, line
@@ -211,7 +211,7 @@ def run(ctx: Context) -> None:
 
 def learn(bench: Bench, p: Parameters) -> float:
     """Rest until the chip reports a calibrated gyro, or time is over; return its calibration level."""
-    stand(bench)
+    enable_hold(bench)
     level = 0
     for _ in range(int(np.ceil(p.learn_s))):
         samples = [s for r in bench.observe(1.0, feedback="odometry").records for s in r.inputs.imu]
@@ -246,7 +246,7 @@ def store(ctx: Context, bench: Bench) -> tuple[Any, Path]:
 
 def rest(ctx: Context, bench: Bench) -> None:
     """Measure noise and bias of the turn rate, and noise of the accelerometer, at rest."""
-    stand(bench)
+    enable_hold(bench)
     data = inertial(bench.observe(ctx.parameters.rest_s, feedback="odometry"))
     if len(data) < 100:
         raise DeviceError("imu", f"{len(data)} usable samples at rest", remedy="hil run bring_up")
@@ -276,11 +276,11 @@ def turn_and_compare(ctx: Context, bench: Bench) -> float:
     """Dwell at several headings; return gravity minus motion capture at the mean heading, rad."""
     p: Parameters = ctx.parameters
     found = []
-    pose = stand(bench)
+    pose = enable_hold(bench)
     path = turns(p, pose)
     for number, trajectory in enumerate(path):
         bench.drive(trajectory, feedback="odometry", hold_s=0.3, start_pose=pose)
-        pose = stand(bench)
+        pose = enable_hold(bench)
         if number < len(path) - 1:
             found.append(_dwell(bench, p))
         ctx.progress("headings", number + 1, len(path))
@@ -339,7 +339,7 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
         strict=True,
     )
     ctx.measure("restored_difference", max(abs(a - b) for a, b in pairs))
-    stand(bench)
+    enable_hold(bench)
     motion = bench.observe(max(ctx.parameters.dwell_s, 2.0), feedback="odometry")
     data, truth = inertial(motion), poses(motion, "mocap")
     ctx.measure("restored_bias", data.mean(0) * _DEG)

@@ -30,7 +30,7 @@ from hil.procedure.needed_devices import only
 from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import Series, encoders, inertial, integrated, poses, wheels
 from hil.procedure.scripted_joints import Stretch, play
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.latency.fit import Command, Delay, fit_delay, fit_driven, fit_response, sent_s
 from hil.procedures.latency.report import draw_chain, draw_signals, table
 from hil.robot.kinematics import forward, inverse
@@ -193,7 +193,7 @@ def dwells(p: Parameters, count: int) -> list[float]:
 
 def turn(bench: Bench, p: Parameters) -> Motion:
     """Turn the body to and fro about its current heading."""
-    pose = stand(bench)
+    pose = enable_hold(bench)
     speed, angle = inverse(bench.geometry, np.array([0.0, 0.0, 1.0]))
     limits = ModuleLimits(steering_rad=bench.config.safety.steering_limit_rad)
     modules = [optimize(float(v), float(a), 0.0, limits) for v, a in zip(speed, angle, strict=True)]
@@ -211,7 +211,7 @@ def turn(bench: Bench, p: Parameters) -> Motion:
 
 def steer(bench: Bench, p: Parameters) -> Motion:
     """Turn all steering axes to and fro in steps; the wheels do not roll."""
-    pose = stand(bench)
+    pose = enable_hold(bench)
     now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]
     play(bench, [Stretch(1.0, steering_rad=np.zeros(4)), Stretch(0.3)], pose, now)
     step = np.radians(p.steer_deg)

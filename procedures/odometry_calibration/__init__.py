@@ -24,7 +24,7 @@ from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import PARAMETER_NAMES, make_setting
 from hil.calibration.usability_check import made_for
 from hil.calibration.validation import score
-from hil.calibration.versions import shelve
+from hil.calibration.versions import store_version
 from hil.config.bench import BenchConfig
 from hil.config.robot_record import Figure
 from hil.config.robot_record.overlay import identity
@@ -356,7 +356,7 @@ def _install(ctx: Context, result: Calibration) -> None:
     if not p.install:
         return
     target = Path(p.install)
-    kept = shelve(
+    kept = store_version(
         target, result, created=ctx.started, software=versions(), verdict=verdict, config=config, robot=robot
     )
     ctx.note(

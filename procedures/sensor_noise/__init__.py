@@ -29,7 +29,7 @@ from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.sensor_noise.report import figures, leave_measurements, table, values_of
 from hil.robot.trajectories import Trajectory, line
 from hil.support.file_reading import put_dotted
@@ -121,7 +121,7 @@ def run(ctx: Context) -> None:
     filtered = all(name in config.devices() for name in _FOR_A_FILTER)
     bench = ctx.reopen(overrides={"encoders": None})
     with ctx.step("rest", timeout_s=p.rest_s + 60.0):
-        stand(bench)
+        enable_hold(bench)
         rested = bench.observe(p.rest_s, feedback="odometry")
     with ctx.step("drives"):
         driven = list(drives(ctx, bench, p, "ekf" if filtered else "odometry"))
@@ -136,9 +136,9 @@ def cycles(motion: Motion) -> tuple[Measurements, ...]:
 
 def drives(ctx: Context, bench: Bench, p: Parameters, feedback: str) -> Iterator[DrivenRun]:
     """Drive the tour leg by leg, each from the rest pose by motion capture."""
-    legs = tour(p, stand(bench))
+    legs = tour(p, enable_hold(bench))
     for number, leg in enumerate(legs, start=1):
-        pose = stand(bench)
+        pose = enable_hold(bench)
         way = leg.sample(leg.duration_s).pose_in_wall - leg.sample(0.0).pose_in_wall
         along = line(pose, pose + way, duration_s=leg.duration_s, name=leg.name)
         motion = bench.drive(along, feedback=feedback, hold_s=_HOLD_S, start_pose=pose)

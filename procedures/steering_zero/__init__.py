@@ -26,7 +26,7 @@ from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import encoders, wheels
 from hil.procedure.scripted_joints import Stretch, play
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.steering_zero.fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.robot.trajectories import Trajectory, line
@@ -165,7 +165,7 @@ def run(ctx: Context) -> None:
 def sweep(ctx: Context, bench: Bench) -> list[AxisFit]:
     """Turn all axes to both sides and back; fit each axis."""
     p: Parameters = ctx.parameters
-    pose = stand(bench)
+    pose = enable_hold(bench)
     end = np.full(4, p.sweep_deg / _DEG)
     once = [
         Stretch(p.sweep_s / 2, steering_rad=end),
@@ -255,7 +255,7 @@ def drive_legs(ctx: Context, bench: Bench, directions: Sequence[tuple[str, float
     """Drive legs one after the other and evaluate each."""
     found = []
     for number, (name, alpha) in enumerate(directions, start=1):
-        pose = stand(bench)
+        pose = enable_hold(bench)
         motion = bench.drive(
             leg(ctx.parameters, pose, name, alpha), feedback="odometry", hold_s=0.3, start_pose=pose
         )
@@ -308,7 +308,7 @@ def apply(ctx: Context, fits: Sequence[AxisFit], unused: dict[str, object]) -> N
     zeros = [round(float(z), 5) for z in _zeros(ctx, fits)]
     values: dict[str, dict[str, Any]] = {"alignment": {"steer_zero_rad": zeros}}
     bench = ctx.reopen("applied", overrides={**unused, "alignment.steer_zero_rad": zeros})
-    pose = stand(bench)
+    pose = enable_hold(bench)
     turn = [Stretch(1.0, steering_rad=np.full(4, side * _MARGIN_RAD)) for side in (1.0, -1.0)]
     straight = Stretch(1.0, steering_rad=np.zeros(4))
     now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]

@@ -27,7 +27,7 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.record_parts import leave_part
-from hil.procedure.tracking_errors import STAGGER_S, stand
+from hil.procedure.tracking_errors import STAGGER_S, enable_hold
 from hil.procedure.worker_processes import Workers
 from hil.procedures.surface_identification.hold import WITHOUT, hold_angle
 from hil.procedures.surface_identification.slip import downhill, draw, next_lines, rate, slip_of
@@ -239,10 +239,10 @@ def repetition(
     """
     filtered = _filtered(bench.config)
     feedback, observers = ("ekf", ("odometry",)) if filtered else ("odometry", ())
-    stand(bench, 0.5 + STAGGER_S * (number + DIRECTIONS.index(ways[0]) / len(DIRECTIONS)))
+    enable_hold(bench, 0.5 + STAGGER_S * (number + DIRECTIONS.index(ways[0]) / len(DIRECTIONS)))
     found = {}
     for k, direction in enumerate(ways, start=1):
-        pose = stand(bench)
+        pose = enable_hold(bench)
         motion = bench.drive(
             motions(p, pose)[direction], feedback=feedback, observers=observers, hold_s=0.5, start_pose=pose
         )

@@ -19,7 +19,7 @@ from hil.loop.driven_motion import Motion
 from hil.procedure import Context
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.sample_arrays import Series, camera, poses
-from hil.procedure.tracking_errors import STAGGER_S, stand
+from hil.procedure.tracking_errors import STAGGER_S, enable_hold
 from hil.procedure.worker_processes import Workers
 from hil.robot.trajectories import Trajectory, line
 
@@ -84,12 +84,12 @@ def drive_trips(
     done: list[list[Leg]] = []
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
-        errands = [
+        drive_jobs = [
             DriveJob(source, partial(_alone, trip=trip, speed_m_s=p.speed_m_s, number=number))
             for number, trip in enumerate(trips)
         ]
         with Workers(min(p.processes, len(trips))) as workers:
-            for legs in ctx.at_once(errands, workers):
+            for legs in ctx.at_once(drive_jobs, workers):
                 shift_s = done[-1][-1].end_s + _BETWEEN_S if done else 0.0
                 done.append([leg.later(shift_s) for leg in legs])
                 ctx.progress(ctx.where, sum(map(len, done)), total)
@@ -103,7 +103,7 @@ def _legs(
     bench: Bench, trips: Sequence[Trip], speed_m_s: float, rest_s: float, on_trip: Callable[[int], object]
 ) -> Iterator[Leg]:
     """Drive on one bench; odometry continues from one leg to the next."""
-    here = begin = stand(bench, rest_s)
+    here = begin = enable_hold(bench, rest_s)
     first_ns: int | None = None
     for number, leg in enumerate(legs_of(trips, begin, speed_m_s), start=1):
         motion = bench.drive(leg, feedback="odometry", hold_s=0.2, start_pose=here)

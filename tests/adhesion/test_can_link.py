@@ -35,7 +35,7 @@ def heard(link, count):
     """So many of what is said, as far as it comes."""
     found, end_s = [], time.monotonic() + 10.0
     while len(found) < count and time.monotonic() < end_s:
-        found += link.heard()
+        found += link.read_samples()
         time.sleep(0.005)
     return found
 
@@ -50,8 +50,8 @@ def test_in_real_time_a_thread_makes_the_samples_that_the_loop_takes():
         with can.Bus(interface="udp_multicast", channel=GROUP, **options) as bus:
             send(bus, (7, b"before"))
             assert link.take(10.0)
-            assert link.heard() == []
-            link.listen_for(meant(made_by))
+            assert link.read_samples() == []
+            link.set_decoder(meant(made_by))
             send(bus, (7, b"first"), (8, b"another"), (7, b"second"))
             assert heard(link, 2) == [b"first", b"second"]
     finally:
@@ -87,11 +87,11 @@ def test_a_program_that_stood_still_waits_for_what_had_come_meanwhile():
                 time.sleep(0.02)
                 return bytes(message.data)
 
-            link.listen_for(slow)
-            assert link.heard() == []
+            link.set_decoder(slow)
+            assert link.read_samples() == []
             send(bus, (7, b"later"))
             clock.ahead_ns = 3_000_000_000
-            assert link.heard() == [b"later"]
+            assert link.read_samples() == [b"later"]
     finally:
         link.close()
 

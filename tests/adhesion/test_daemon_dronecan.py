@@ -73,7 +73,7 @@ def test_a_duty_begins_near_the_speed_that_the_fan_has(kept):
     cycle, bus = kept
     bus.arriving = messages(RUNNING)
     run(cycle, 0.0, 0.2)
-    cycle.control.wish(nanoseconds(0.2), SetPoint("duty", 0.9))
+    cycle.control.set_target(nanoseconds(0.2), SetPoint("duty", 0.9))
     bus.sent.clear()
     cycle.step(nanoseconds(0.2))
     fields = RUNNING["fields"]

@@ -76,7 +76,7 @@ def test_a_bench_that_stands_in_stops_when_the_emulator_ends_too(kept):
 
 def test_one_that_is_started_while_the_emulator_ends_does_not_begin(wire):
     _, spec = wire
-    said = client.Starting(spec, emulated=True).said(15.0)
+    said = client.DaemonLaunch(spec, emulated=True).first_line(15.0)
     assert said == {"error": f"{spec.bus} was emulated and is gone"}
     assert daemon_pid(spec) is None
     log = client.log_path(spec)

@@ -204,7 +204,7 @@ def test_a_fan_has_one_daemon(daemon):
     pid = client.peer(connection)[0]
     with pytest.raises(DeviceError, match="has a daemon already"):
         Server(spec)
-    said = client.Starting(spec, emulated=False).said(15.0)
+    said = client.DaemonLaunch(spec, emulated=False).first_line(15.0)
     assert "has a daemon already" in said["error"]
     assert client.peer(connection)[0] == pid
     Server(Spec(spec.interface, spec.channel, 8, options=spec.options)).close()  # another fan has its own

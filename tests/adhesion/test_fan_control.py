@@ -27,14 +27,14 @@ def report(control, t_ns, controller_id=7, **figures):
 def daemon_at(t_ns, **figures):
     """A daemon that has just heard its fan."""
     control = FanControl(SPEC)
-    control.order(0)
+    control.next_command(0)
     report(control, t_ns, **figures)
     return control
 
 
 def orders(control, start_ns, duration_s):
     times = range(start_ns, start_ns + nanoseconds(duration_s), PERIOD_NS)
-    return [(t_ns, control.order(t_ns)) for t_ns in times]
+    return [(t_ns, control.next_command(t_ns)) for t_ns in times]
 
 
 def steps(given):
@@ -44,13 +44,13 @@ def steps(given):
 
 def test_a_set_point_is_reached_along_a_ramp_and_kept_for_good():
     control = daemon_at(0)
-    control.wish(0, SetPoint("duty", 0.57))
+    control.set_target(0, SetPoint("duty", 0.57))
     rising = orders(control, 0, 2.0)
     largest = PERIOD_NS / 1e9 * SPEC.highest["duty"] / SPEC.ramp_up_s
     assert 0.0 < max(steps(rising)) <= largest * 1.001
     assert rising[-1][1] == SetPoint("duty", 0.57)
-    control.order(HOUR_NS)
-    assert control.order(HOUR_NS + PERIOD_NS) == SetPoint("duty", 0.57)
+    control.next_command(HOUR_NS)
+    assert control.next_command(HOUR_NS + PERIOD_NS) == SetPoint("duty", 0.57)
     assert control.state() == "keeping"
 
 
@@ -64,51 +64,51 @@ def test_what_another_program_sends_is_taken_over_exactly(first):
     control = FanControl(SPEC)
     heard = [
         lambda: report(control, PERIOD_NS, duty=0.571),
-        lambda: control.overheard(PERIOD_NS, SetPoint("erpm", 57123.0)),
+        lambda: control.observe_command(PERIOD_NS, SetPoint("erpm", 57123.0)),
     ]
     for hear in heard if first == "report" else heard[::-1]:
         hear()
-    assert control.order(PERIOD_NS) == SetPoint("erpm", 57123.0)
+    assert control.next_command(PERIOD_NS) == SetPoint("erpm", 57123.0)
 
 
 def test_a_fan_commanded_by_another_program_is_followed_until_the_daemon_is_asked():
     control = FanControl(SPEC)
-    control.overheard(0, SetPoint("duty", 0.5))
-    control.overheard(nanoseconds(60.0), SetPoint("duty", 0.6))
-    assert control.order(nanoseconds(60.0)) == SetPoint("duty", 0.6)
-    assert control.order(nanoseconds(120.0)) == SetPoint("duty", 0.6)
-    control.wish(nanoseconds(120.0), SetPoint("duty", 0.6))
-    control.overheard(nanoseconds(121.0), SetPoint("duty", 0.2))
-    assert control.order(nanoseconds(121.0)) == SetPoint("duty", 0.6)
+    control.observe_command(0, SetPoint("duty", 0.5))
+    control.observe_command(nanoseconds(60.0), SetPoint("duty", 0.6))
+    assert control.next_command(nanoseconds(60.0)) == SetPoint("duty", 0.6)
+    assert control.next_command(nanoseconds(120.0)) == SetPoint("duty", 0.6)
+    control.set_target(nanoseconds(120.0), SetPoint("duty", 0.6))
+    control.observe_command(nanoseconds(121.0), SetPoint("duty", 0.2))
+    assert control.next_command(nanoseconds(121.0)) == SetPoint("duty", 0.6)
 
 
 def test_a_fan_that_its_owner_stops_is_not_kept_running():
     control = FanControl(SPEC)
-    control.overheard(0, SetPoint("duty", 0.5))
-    control.overheard(nanoseconds(1.0), SetPoint("current_a", 0.0))
+    control.observe_command(0, SetPoint("duty", 0.5))
+    control.observe_command(nanoseconds(1.0), SetPoint("current_a", 0.0))
     report(control, nanoseconds(1.0), duty=0.3)
-    assert control.order(nanoseconds(1.0)) is None
+    assert control.next_command(nanoseconds(1.0)) is None
     assert control.state() == "idle"
 
 
 def test_only_a_new_daemon_takes_a_fan_over():
     control = FanControl(SPEC)
-    control.order(0)
+    control.next_command(0)
     report(control, nanoseconds(1.6), duty=0.5)
-    control.overheard(nanoseconds(1.6), SetPoint("duty", 0.5))
-    assert control.order(nanoseconds(1.6)) is None
+    control.observe_command(nanoseconds(1.6), SetPoint("duty", 0.5))
+    assert control.next_command(nanoseconds(1.6)) is None
 
 
 def test_a_fan_that_runs_by_another_hand_is_asked_for_more_without_a_step():
     control = daemon_at(nanoseconds(5.0), duty=0.4)
-    control.wish(nanoseconds(5.0), SetPoint("duty", 0.5))
-    assert control.order(nanoseconds(5.0)).value == pytest.approx(0.4)
+    control.set_target(nanoseconds(5.0), SetPoint("duty", 0.5))
+    assert control.next_command(nanoseconds(5.0)).value == pytest.approx(0.4)
 
 
 def test_another_quantity_begins_where_the_fan_is():
     control = daemon_at(0, duty=0.57, erpm=57000.0)
-    control.wish(0, SetPoint("erpm", 60000.0))
-    assert control.order(0) == SetPoint("erpm", 57000.0)
+    control.set_target(0, SetPoint("erpm", 60000.0))
+    assert control.next_command(0) == SetPoint("erpm", 57000.0)
 
 
 def test_off_is_a_ramp_then_a_release_then_silence():
@@ -130,14 +130,14 @@ def test_after_off_a_fan_that_still_turns_is_not_taken_over_again():
     control.end(0)
     orders(control, 0, 0.3)
     report(control, nanoseconds(0.3), duty=0.03)
-    assert control.order(nanoseconds(0.3)) == RELEASE
+    assert control.next_command(nanoseconds(0.3)) == RELEASE
 
 
 def test_a_set_point_calls_off_an_end():
     control = daemon_at(0, duty=0.6)
     control.end(0)
     down = orders(control, 0, 1.0)
-    control.wish(nanoseconds(1.0), SetPoint("duty", 0.6))
+    control.set_target(nanoseconds(1.0), SetPoint("duty", 0.6))
     up = orders(control, nanoseconds(1.0), 2.0)
     assert max(map(abs, steps(down + up))) < 0.03
     assert up[-1][1] == SetPoint("duty", 0.6)
@@ -145,9 +145,9 @@ def test_a_set_point_calls_off_an_end():
 
 def test_a_daemon_that_was_suspended_goes_on_without_a_step():
     control = daemon_at(0, duty=0.5)
-    before = control.order(0)
-    control.wish(0, SetPoint("duty", 0.9))
-    after = control.order(nanoseconds(60.0))
+    before = control.next_command(0)
+    control.set_target(0, SetPoint("duty", 0.9))
+    after = control.next_command(nanoseconds(60.0))
     assert after.value - before.value <= 0.2 * SPEC.highest["duty"] / SPEC.ramp_up_s + 1e-9
 
 
@@ -157,7 +157,7 @@ def test_whatever_is_asked_no_command_steps(wishes, data):
     t_ns, given = 0, []
     for wish in wishes:
         report(control, t_ns, duty=control.sent.value if control.sent else 0.0)
-        control.end(t_ns) if wish == "end" else control.wish(t_ns, SetPoint("duty", wish))
+        control.end(t_ns) if wish == "end" else control.set_target(t_ns, SetPoint("duty", wish))
         duration_s = data.draw(st.floats(0.0, 3.0))
         given += orders(control, t_ns, duration_s)
         t_ns += nanoseconds(duration_s)
@@ -168,33 +168,33 @@ def test_whatever_is_asked_no_command_steps(wishes, data):
 def test_impossible_set_points_are_refused_and_change_nothing(value):
     control = daemon_at(0, duty=0.5)
     with pytest.raises(UsageError, match="duty, current_a, erpm"):
-        control.wish(0, SetPoint("force", 45.0))
+        control.set_target(0, SetPoint("force", 45.0))
     with pytest.raises(UsageError, match="adhesion set-point duty"):
-        control.wish(0, SetPoint("duty", value))
-    assert control.order(PERIOD_NS) == SetPoint("duty", 0.5)
+        control.set_target(0, SetPoint("duty", value))
+    assert control.next_command(PERIOD_NS) == SetPoint("duty", 0.5)
 
 
 def test_a_fan_that_says_nothing_is_not_started():
     control = FanControl(SPEC)
     with pytest.raises(DeviceError, match="switch on status messages 1, 4 and 5") as raised:
-        control.wish(0, SetPoint("duty", 0.5))
+        control.set_target(0, SetPoint("duty", 0.5))
     assert "controller 7 sends no status" in str(raised.value)
-    assert control.order(PERIOD_NS) is None
+    assert control.next_command(PERIOD_NS) is None
 
 
 def test_the_wrong_controller_id_is_named_beside_the_right_one():
     control = FanControl(SPEC)
     report(control, 0, 23, duty=0.5)
-    assert control.order(0) is None, "another fan is left alone"
+    assert control.next_command(0) is None, "another fan is left alone"
     with pytest.raises(DeviceError, match="controller 23 does"):
-        control.wish(0, SetPoint("duty", 0.5))
+        control.set_target(0, SetPoint("duty", 0.5))
 
 
 def test_a_kept_fan_that_falls_silent_is_kept():
     control = daemon_at(0, duty=0.5)
-    assert control.order(HOUR_NS) == SetPoint("duty", 0.5)
-    control.wish(HOUR_NS, SetPoint("duty", 0.6))
-    assert control.order(HOUR_NS + PERIOD_NS).value > 0.5
+    assert control.next_command(HOUR_NS) == SetPoint("duty", 0.5)
+    control.set_target(HOUR_NS, SetPoint("duty", 0.6))
+    assert control.next_command(HOUR_NS + PERIOD_NS).value > 0.5
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hil.bench.loop_settings import adhesion_limits, thrust_wanted_n
 from hil.core.errors import DeviceError, SafetyStop, UsageError
 from hil.procedure.faults import cells_of
 from hil.procedure.faults.drive import run_cell
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
@@ -198,7 +198,7 @@ def test_the_end_of_a_run_leaves_the_fan_running():
 def test_on_the_floor_nothing_waits_for_a_fan():
     floor = {"environment.surface": "floor", "environment.tilt_rad": 0.0, **COLD}
     with hil.open_bench("emulated", seed=1, overrides=floor) as bench:
-        start = stand(bench)  # propellers have pushed it along the floor before its servos had torque
+        start = enable_hold(bench)  # propellers have pushed it along the floor before its servos had torque
         motion = bench.drive(line(start, start + np.array([0.03, 0, 0]), duration_s=1.5))
     assert math.isfinite(motion.records[-1].state.pose_body_in_wall[0])
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.bench.hold.adhesion_force import RUN_DOWN_S, AdhesionForceCheck
-from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
+from hil.bench.hold.propeller_handover import PropellerObservation, least_push_n
 from hil.bench.loop_settings import adhesion_limits
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig, ThrustConfig
@@ -29,7 +29,7 @@ class Press:
         self.waiting, self.t_s = {"adhesion": [], "load_cells": [], "thrust": []}, 100.0
         self.alone = []
         rig = SimpleNamespace(get=self._device)
-        alone = LeftAlone(rig, propellers, limits.nominal_thrust_n)
+        alone = PropellerObservation(rig, propellers, limits.nominal_thrust_n)
         self.watch = AdhesionForceCheck(rig, limits, SimpleNamespace(timeout_s=TIMEOUT_S), alone)
         self.watch.begin(for_good=True)
 
@@ -128,7 +128,7 @@ ENOUGH_N = 1.02 * WITHOUT.statics.needed_n(20.0, 0.0)
 """With the propellers, and not without."""
 
 
-def gives_way_s():
+def force_lost_after_s():
     """So long it takes propellers whose throttle goes down by 10 steps a second until the robot slides."""
     least_n = WITHOUT.nominal_thrust_n
     while WITHOUT.statics.needed_n(least_n, 0.0) < ENOUGH_N:
@@ -137,7 +137,7 @@ def gives_way_s():
 
 
 def test_propellers_that_report_nothing_count_once_deaf_ones_would_have_let_the_robot_slide():
-    press, slides_s = Press(WITHOUT), gives_way_s()
+    press, slides_s = Press(WITHOUT), force_lost_after_s()
     early = steady(press, slides_s, fan=ENOUGH_N)
     assert all(f"{NEED_N:.1f} N are needed without the propellers" in doubt for doubt in early)
     assert press.watch.waits
@@ -150,7 +150,7 @@ def test_propellers_that_report_nothing_count_once_deaf_ones_would_have_let_the_
 
 
 def test_a_robot_that_moves_meanwhile_is_waited_for_anew_and_its_propellers_are_sent_their_force_again():
-    press, slides_s = Press(WITHOUT), gives_way_s()
+    press, slides_s = Press(WITHOUT), force_lost_after_s()
     steady(press, slides_s, fan=ENOUGH_N)
     assert press.doubt(fan=ENOUGH_N, sees_slide=False, moves=True)
     assert press.alone == [True, False]
@@ -170,7 +170,7 @@ def test_a_camera_that_is_blind_for_a_moment_does_not_begin_it_anew(blind_s, goe
 def test_a_bench_that_goes_on_sends_them_their_force_all_the_time():
     press = Press(WITHOUT)
     press.watch.begin(for_good=False)
-    assert steady(press, gives_way_s() + 3.0, fan=ENOUGH_N)[-1] == ""
+    assert steady(press, force_lost_after_s() + 3.0, fan=ENOUGH_N)[-1] == ""
     assert not any(press.alone)
 
 

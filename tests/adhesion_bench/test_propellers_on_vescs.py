@@ -93,7 +93,7 @@ def test_a_bus_with_the_fans_controller_alone_has_no_propellers(tmp_path):
 
 def test_every_controller_is_given_the_same_command():
     spec = Spec("hil", "x", 2, also=(3, 5), device="thrust")
-    frames = protocol_of(spec).say(SetPoint("erpm", 60_000.0), 0)
+    frames = protocol_of(spec).encode(SetPoint("erpm", 60_000.0), 0)
     assert frames == tuple((3 << 8 | one, bytes.fromhex("0000EA60")) for one in (2, 3, 5))
 
 

@@ -8,7 +8,7 @@ import pytest
 import hil
 from hil.bench.drive_start import must_begin_where_it_stands
 from hil.core.errors import TrajectoryError
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 UP = line((0, 0, 0), (0.06, 0, 0), duration_s=1.5)
@@ -41,7 +41,7 @@ def test_a_second_drive_from_the_first_ones_start_is_refused_and_nothing_moves()
         with pytest.raises(TrajectoryError, match=r"the robot stands at x 0\.06"):
             bench.drive(UP)
         np.testing.assert_allclose(bench.truth().pose_body_in_wall[:2], before[:2], atol=1e-3)
-        start = stand(bench)
+        start = enable_hold(bench)
         bench.drive(line(start, start + np.array([0.03, 0, 0]), duration_s=1.0), hold_s=0.3)
         assert bench.truth().pose_body_in_wall[0] == pytest.approx(before[0] + 0.03, abs=0.005)
     assert bench.held.state == "HELD"

@@ -60,7 +60,7 @@ def test_a_limit_that_is_none_is_refused():
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("cells", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_propellers_with_unknown_failure_never_count_and_end_no_look(monkeypatch, cells):
-    monkeypatch.setattr(TeensyConfig, "gives_way_s", lambda self, force_n, least_n: math.inf)
+    monkeypatch.setattr(TeensyConfig, "force_lost_after_s", lambda self, force_n, least_n: math.inf)
     less = {} if cells else {"load_cells": None, "adhesion": None}
     with hil.open_bench("emulated", seed=1, overrides=less) as bench:
         bench.drive(SHORT)

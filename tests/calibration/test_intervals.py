@@ -80,7 +80,7 @@ def test_a_law_of_contact_claims_more_than_kinematics_show():
     recordings = make_set(robot, 0, repetitions=1, slip_share=0.0)
     found = fit(reduce_recordings(recordings, 0.3), make_setting("recommended", model="dry-friction"), CAD)
     spectrum = judged.identifiability(found)
-    assert spectrum.whatever_the_model <= 7 < spectrum.determined
+    assert spectrum.determined_without_contact_law <= 7 < spectrum.determined
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from hil.procedure.campaign.dask_run import Strikes, close_once, spread
+from hil.procedure.campaign.dask_run import DeferredSignals, close_once, spread
 
 
 def strike(number=signal.SIGINT):
@@ -16,17 +16,17 @@ def strike(number=signal.SIGINT):
 
 def test_a_signal_strikes_when_dask_is_no_longer_at_work():
     former = signal.getsignal(signal.SIGINT)
-    with Strikes() as strikes:
+    with DeferredSignals() as deferred:
         strike()
-        with pytest.raises(KeyboardInterrupt), strikes.heard():
+        with pytest.raises(KeyboardInterrupt), deferred.delivered():
             pytest.fail("it was forgotten")
-        with pytest.raises(KeyboardInterrupt), strikes.heard():
+        with pytest.raises(KeyboardInterrupt), deferred.delivered():
             strike()
     assert signal.getsignal(signal.SIGINT) is former
 
 
 def test_a_second_signal_strikes_at_once():
-    with Strikes():
+    with DeferredSignals():
         strike()
         with pytest.raises(KeyboardInterrupt):
             strike()
@@ -36,13 +36,13 @@ def test_a_signal_is_handled_as_before_or_not_at_all():
     taken = []
     former = signal.signal(signal.SIGTERM, lambda number, _: taken.append(number))
     try:
-        with Strikes() as strikes:
+        with DeferredSignals() as deferred:
             strike(signal.SIGTERM)
             assert not taken
-            with strikes.heard():
+            with deferred.delivered():
                 assert taken == [signal.SIGTERM]
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        with Strikes() as strikes, strikes.heard():
+        with DeferredSignals() as deferred, deferred.delivered():
             strike(signal.SIGTERM)
             assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
     finally:

@@ -167,7 +167,7 @@ def test_a_worker_that_comes_later_without_room_for_the_files_is_left_out(worker
             raise DataError(str(folder), "cannot be written (No space left on device)")
 
     monkeypatch.setattr(campaign_cluster, "unpacked", unpack)
-    with distributed.Client(cluster) as client, campaign_cluster.carried(client, sent):
+    with distributed.Client(cluster) as client, campaign_cluster.files_on_workers(client, sent):
         cluster.scale(2)
         client.wait_for_workers(2)
         (late,) = set(cluster.scheduler.workers) - set(folders)
@@ -191,8 +191,8 @@ def test_two_campaigns_with_the_same_files_do_not_take_away_each_others(workers)
     cluster, folders = workers(1)
     (folder,) = folders.values()
     one, two = (parcel({"count": Path("count.py").absolute()}) for _ in range(2))
-    with distributed.Client(cluster) as client, campaign_cluster.carried(client, one):
-        with campaign_cluster.carried(client, two):
+    with distributed.Client(cluster) as client, campaign_cluster.files_on_workers(client, one):
+        with campaign_cluster.files_on_workers(client, two):
             assert len(left_at(cluster, folders)[0]) == 2
         assert (Path(folder) / one.name).is_dir()
     assert left_at(cluster, folders) == ([], [])

@@ -9,7 +9,7 @@ import pytest
 
 from hil.cli import main
 from hil.core.errors import UsageError
-from hil.procedure.campaign.plan_file import alone_in
+from hil.procedure.campaign.plan_file import locked_folder
 from hil.procedure.procedure_lookup import modules_beside
 from hil.support import versions
 
@@ -157,11 +157,15 @@ def test_modules_beside_the_script_are_files_of_the_campaign(campaign, tmp_path,
 def test_a_campaign_that_is_at_work_is_left_alone(campaign, tmp_path):
     (tmp_path / "plain.py").write_text(PLAIN)
     assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
-    with alone_in(tmp_path / "o", resume=True):
+    with locked_folder(tmp_path / "o", resume=True):
         for options in ((), ("--resume",)):
             code, _, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", *options)
             assert (code, "a campaign is at work there" in said) == (2, True), said
-    with alone_in(tmp_path / "o", resume=True), pytest.raises(UsageError), alone_in(Path("o"), resume=True):
+    with (
+        locked_folder(tmp_path / "o", resume=True),
+        pytest.raises(UsageError),
+        locked_folder(Path("o"), resume=True),
+    ):
         pass
 
 

@@ -19,7 +19,7 @@ from hil.core.errors import Aborted, ConfigError
 from hil.procedure import BenchSource
 from hil.procedure.commission import Commission, commission, saved_state
 from hil.procedure.commission import run as commission_run
-from hil.procedure.commission.reruns import rests_on, why_again
+from hil.procedure.commission.reruns import dependencies_of, reason_to_repeat
 from hil.procedure.commission.run import _Running, found_signs
 from hil.procedure.commission.saved_state import state_of
 from hil.procedure.commission.stages import STAGES, Stage, placed, stages
@@ -245,8 +245,8 @@ def config_of(**overrides):
 )
 def test_what_rests_on_a_key_that_has_changed_is_repeated_and_named(key, value, repeated):
     now = config_of(**{key: value})
-    before = rests_on(SOURCE.config, {}, None)
-    found = {stage.name: why_again(stage, before, now, {}) for stage in TINY}
+    before = dependencies_of(SOURCE.config, {}, None)
+    found = {stage.name: reason_to_repeat(stage, before, now, {}) for stage in TINY}
     assert tuple(name for name, why in found.items() if why) == repeated
     for name in repeated:
         assert f"the bench file has changed in {key} (" in found[name]
@@ -254,12 +254,12 @@ def test_what_rests_on_a_key_that_has_changed_is_repeated_and_named(key, value, 
 
 
 def test_a_part_that_is_gone_or_another_has_its_procedure_repeated():
-    before = json.loads(json.dumps(rests_on(SOURCE.config, {"camera": PART}, {"parts": ["camera"]})))
-    assert why_again(CAMERA, before, SOURCE.config, {"camera": PART}) == ""
-    assert "camera is no longer in the record" in why_again(CAMERA, before, SOURCE.config, {})
+    before = json.loads(json.dumps(dependencies_of(SOURCE.config, {"camera": PART}, {"parts": ["camera"]})))
+    assert reason_to_repeat(CAMERA, before, SOURCE.config, {"camera": PART}) == ""
+    assert "camera is no longer in the record" in reason_to_repeat(CAMERA, before, SOURCE.config, {})
     other = PART.model_copy(update={"figures": {"scale": Figure(value=1.02)}})
-    assert "is another than it had left" in why_again(CAMERA, before, SOURCE.config, {"camera": other})
-    assert "older version" in why_again(CAMERA, None, SOURCE.config, {"camera": PART})
+    assert "is another than it had left" in reason_to_repeat(CAMERA, before, SOURCE.config, {"camera": other})
+    assert "older version" in reason_to_repeat(CAMERA, None, SOURCE.config, {"camera": PART})
 
 
 @pytest.fixture

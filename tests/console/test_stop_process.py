@@ -68,7 +68,7 @@ def test_it_ends_with_a_page_that_ends_in_order(tmp_path, time_passes):
     ended = json.dumps({"ended": True})
     time_passes.after = ((1000.0, lambda: (tmp_path / PAGE).write_text(ended)),)
     server = Shut()
-    StopProcess(tmp_path).serve_until_it_is_over(server)
+    StopProcess(tmp_path).serve_until_idle(server)
     assert server.shut
     assert 1000.0 <= time_passes.now_s < 1020.0
 
@@ -80,7 +80,7 @@ def test_it_stays_while_something_runs_and_then_for_ten_minutes_when_the_page_wa
     job = job_in(tmp_path / "jobs", process=jobs.identity(os.getpid()))
     gone = json.dumps({"pid": 1 << 22, "ticks": 1, "boot": ""})
     time_passes.after = ((1000.0, lambda: (job.folder / jobs.PROCESS).write_text(gone)),)
-    StopProcess(tmp_path).serve_until_it_is_over(Shut())
+    StopProcess(tmp_path).serve_until_idle(Shut())
     assert 1580.0 <= time_passes.now_s < 1630.0
 
 

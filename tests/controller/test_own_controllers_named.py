@@ -46,13 +46,13 @@ class Lost(Ahead):
 STRAIGHT = """
 import numpy as np
 from hil.procedure import Context, Measurement, procedure
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 @procedure(name="straight", needs=("servos",), measurements=(Measurement("way", "m"),))
 def run(ctx: Context) -> None:
     \"\"\"Drives 0.05 m.\"\"\"
-    start = stand(ctx.bench)
+    start = enable_hold(ctx.bench)
     motion = ctx.bench.drive(line(start, start + np.array([0.05, 0.0, 0.0]), duration_s=2.0), hold_s=0.1)
     ctx.measure("way", float(ctx.bench.truth().pose_body_in_wall[0] - start[0]))
 """

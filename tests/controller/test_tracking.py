@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from hil.config.control import ControlConfig
 from hil.controller import make_controller
 from hil.controller import module_arithmetic as at
-from hil.controller.laws import NonlinearLaw, OptimalLaw, beyond, lag_model, pose_error, riccati_gains
+from hil.controller.laws import (
+    NonlinearLaw,
+    OptimalLaw,
+    lag_model,
+    outside_dead_zone,
+    pose_error,
+    riccati_gains,
+)
 from hil.controller.module_layer import ModuleLayer, ModuleLimits, optimize
 from hil.core.errors import SafetyStop
 from hil.core.geometry import compose, se2_exp
@@ -278,11 +285,11 @@ def test_optimal_law_without_integral_still_tracks():
 @given(st.lists(st.floats(-1e-2, 1e-2), min_size=3, max_size=3))
 def test_the_dead_zone_is_continuous_and_never_overshoots(error):
     error, zone = np.array(error), np.array([1e-4, 1e-4, 5e-4])
-    left = np.array(beyond(error, zone))
+    left = np.array(outside_dead_zone(error, zone))
     assert np.all(np.abs(error - left) <= zone + 1e-15)
     assert np.all(left * error >= 0.0)
     np.testing.assert_array_equal(left[np.abs(error) <= zone], 0.0)
-    np.testing.assert_allclose(beyond(error + 1e-9, zone), left, atol=1.001e-9)
+    np.testing.assert_allclose(outside_dead_zone(error + 1e-9, zone), left, atol=1.001e-9)
 
 
 @pytest.mark.parametrize("law", ["nonlinear", "optimal"])

@@ -186,16 +186,16 @@ def test_who_is_left_out_is_measured_no_more_and_widens_the_covariance():
     left_out.take(doubt("tracker"), now)
     assert (now.events[0].source, now.inflation) == ("tracker", (0.012, 0.0))
     assert "left out" in now.events[0].message
-    assert left_out.believed(given) == replace(given, tracker=())
+    assert left_out.without_excluded(given) == replace(given, tracker=())
     now = Cycle(Inputs(0, 6), given)
     left_out.take(doubt("imu", off=0.1, turns=True), now)
     assert now.inflation == (0.0, 0.1)
-    assert left_out.believed(given) == replace(given, tracker=(), gyro=())
+    assert left_out.without_excluded(given) == replace(given, tracker=(), gyro=())
     now = Cycle(Inputs(0, 7), given)
     left_out.take(doubt("mocap"), now)
     assert now.inflation == (0.0, 0.0)
     left_out.reset()
-    assert left_out.believed(given) is given
+    assert left_out.without_excluded(given) is given
     assert "tracker" not in left_out
 
 

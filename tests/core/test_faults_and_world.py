@@ -118,7 +118,7 @@ def test_what_acts_once_acts_each_time_that_it_is_planned():
         "camera",
         np.random.default_rng(0),
     )
-    acted = [t for t in range(1, 8) if faults.news("jump", t * 10**9) is not None]
+    acted = [t for t in range(1, 8) if faults.first_activation("jump", t * 10**9) is not None]
     assert acted == [2, 4]
 
 

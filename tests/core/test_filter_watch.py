@@ -73,11 +73,11 @@ def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit(
 
 def test_the_first_poses_of_a_run_may_be_those_that_do_not_fit():
     watch, events = FilterFit(), []
-    assert watch.take_off() == (0.0, 0.0)
+    assert watch.take_inflation() == (0.0, 0.0)
     watch.judge(misfits(2.6)[0], events)
     assert [event.message.rpartition(" by ")[2] for event in events] == ["2.6 mm more"]
-    assert watch.take_off() == (pytest.approx(0.0026), 0.0)
-    assert watch.take_off() == (0.0, 0.0)
+    assert watch.take_inflation() == (pytest.approx(0.0026), 0.0)
+    assert watch.take_inflation() == (0.0, 0.0)
 
 
 FORMER = {
@@ -105,9 +105,9 @@ def test_a_run_is_judged_as_the_first_one_whatever_was_before_it(former, run):
         for one in before:
             watch.judge(one, [])
         watch.reset()
-        off = [watch.take_off()]
+        off = [watch.take_inflation()]
         for one in run:
             watch.judge(one, events)
-            off.append(watch.take_off())
+            off.append(watch.take_inflation())
         found.append((events, off))
     assert found[0] == found[1]

@@ -12,7 +12,7 @@ from hil.bench.contract import at_rest
 from hil.bench.contract.device_under_test import Broken
 from hil.core.device import DeviceKind
 from hil.core.geometry import Array
-from hil.core.nonfinite import unsaid_holes
+from hil.core.nonfinite import unmarked_nonfinite_fields
 from hil.core.registry import kinds
 from hil.core.signals import AdhesionSample, Inputs, Stamp, Status
 from hil.loop.checks.sensor_status import SensorStatus
@@ -64,13 +64,13 @@ KIND = Thing()
     ],
 )
 def test_what_is_no_number_is_found(given, names):
-    assert list(unsaid_holes(KIND, Sample(STAMP, **given))) == names
+    assert list(unmarked_nonfinite_fields(KIND, Sample(STAMP, **given))) == names
 
 
 def test_what_a_device_of_ours_does_not_report_is_no_hole():
     fields = dict.fromkeys(AdhesionSample.__dataclass_fields__, math.nan)
     sample = AdhesionSample(**{**fields, "stamp": STAMP, "status": OK})
-    assert not list(unsaid_holes(kinds()["adhesion"], sample))
+    assert not list(unmarked_nonfinite_fields(kinds()["adhesion"], sample))
 
 
 def test_the_contract_suite_fails_a_hole_in_a_tuple(monkeypatch):

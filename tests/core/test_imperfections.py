@@ -13,7 +13,7 @@ from hil.config.values import Within
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.devices.emulated_device import EmulationRequest
-from hil.fakes.emulation_request import impossible, ranges
+from hil.fakes.emulation_request import invalid_values, ranges
 
 SIGNED = {"ambient_c"}
 NUMBERS = [
@@ -102,10 +102,10 @@ def test_a_device_may_have_bounds_of_its_own():
         slope_rad: Annotated[float, Within(-9.0, 9.0, "it may lean")] = 0.0
         gain: float = 1.0
 
-    assert not list(impossible(Own, {"slope_rad": -8.0, "gain": -1e6}))
-    assert [key for key, _ in impossible(Own, {"slope_rad": float("nan"), "gain": float("inf")})] == [
+    assert not list(invalid_values(Own, {"slope_rad": -8.0, "gain": -1e6}))
+    assert [key for key, _ in invalid_values(Own, {"slope_rad": float("nan"), "gain": float("inf")})] == [
         "slope_rad",
         "gain",
     ]
-    assert list(impossible(Own, {"gain": False})) == [("gain", "expected a number, found false")]
-    assert not list(impossible(Own, {"gain": 10**400}))
+    assert list(invalid_values(Own, {"gain": False})) == [("gain", "expected a number, found false")]
+    assert not list(invalid_values(Own, {"gain": 10**400}))

@@ -38,7 +38,7 @@ class Ride:
             reported, t_ns = np.round(self.angle / COUNT_RAD) * COUNT_RAD, self.k * PERIOD_NS
             sample = WheelMeasurement(Stamp(t_ns, t_ns, self.k), reported, self.rate, self.steering, valid)
             self.watch.judge(t_ns, (sample,), self.events)
-            self.off_m.append(self.watch.take_off()[0])
+            self.off_m.append(self.watch.take_inflation()[0])
         return self
 
 

@@ -16,13 +16,13 @@ from hil.core.registry import kinds
 
 CLIMB = """
 from hil.procedure import procedure
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 
 @procedure(name="climb", needs=("servos", "rangefinder"))
 def run(ctx):
-    start = stand(ctx.bench)
+    start = enable_hold(ctx.bench)
     ctx.bench.drive(line(start, start + [0.01, 0.0, 0.0], duration_s=0.6), start_pose=start)
 """
 

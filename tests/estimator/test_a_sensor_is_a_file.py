@@ -24,7 +24,7 @@ from hil.estimator.state_vector import THETA
 from hil.support.numba_jit import inner
 
 NAME = "compass"
-BENT = False
+NONLINEAR = False
 ANGLE_ROW = 0
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
@@ -86,7 +86,7 @@ def account(m, nu, nis, var, count, gate, samples):
 
 
 @inner
-def let_in(limit, t_ns, p, m, par):
+def reanchor(limit, t_ns, p, m, par):
     if m.tally.in_row >= limit:
         m.tally.in_row = 0.0
         p[THETA, THETA] += 1.0

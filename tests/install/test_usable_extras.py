@@ -35,7 +35,7 @@ def installed(monkeypatch):
 
 
 def test_each_extra_says_what_it_lacks(installed):
-    assert {name: extras.lacks(name) for name in extras.MODULES} == {
+    assert {name: extras.why_unusable(name) for name in extras.MODULES} == {
         "rerun": "",
         "parquet": "pyarrow 26.0.1 is installed; it needs pyarrow==1.*",
         "t265": "this Python cannot have it: camera is made for Python below 3; this is Python "
@@ -54,11 +54,11 @@ def test_a_library_built_by_hand_where_there_is_no_wheel_is_usable(installed, mo
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "version", version)
-    assert extras.lacks("t265") == ""
+    assert extras.why_unusable("t265") == ""
 
 
 def test_info_reports_it(capsys, monkeypatch):
-    monkeypatch.setattr("hil.cli.info.lacks", lambda name: "not today" if name == "t265" else "")
+    monkeypatch.setattr("hil.cli.info.why_unusable", lambda name: "not today" if name == "t265" else "")
     assert main(["info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["extras"] == dict.fromkeys(extras.MODULES, True) | {"t265": False}

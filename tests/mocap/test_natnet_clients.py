@@ -5,14 +5,14 @@ import struct
 import pytest
 
 import hil
-from hil.fakes.mocap.virtual_network import Outlet
+from hil.fakes.mocap.virtual_network import PacketNetwork
 
 CONNECT, REQUEST, KEEPALIVE, FRAME = 0, 2, 10, 7
 S = 1_000_000_000
 ME = ("127.0.0.1", 5000)
 
 
-class Network(Outlet):
+class Network(PacketNetwork):
     """Keeps the frames that go to each address."""
 
     def __init__(self, groups=()):

@@ -182,7 +182,7 @@ def test_wheels_that_weigh_more_than_the_robot_turns_are_refused():
 
 
 def test_without_the_engine_the_line_that_installs_it_is_reported(monkeypatch):
-    monkeypatch.setattr(mjcf, "lacks", lambda extra: "not installed")
+    monkeypatch.setattr(mjcf, "why_unusable", lambda extra: "not installed")
     with pytest.raises(ConfigError, match=r"needs the extra mujoco: not installed; install") as caught:
         robot()
     assert caught.value.exit_code == 2

@@ -13,7 +13,7 @@ from hil.procedure.figure_rows import DrivenRows
 from hil.procedure.measurements import Verdict
 from hil.procedure.parallel_drives import DriveJob, Sent, driven
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.recording.runs import read_runs
 from tests.patience import FANLESS
 from tests.procedure.in_turn import InTurn
@@ -70,12 +70,12 @@ def sent(drive, recording=None, on_failure="stop"):
 
 
 def asked_too_much(bench):
-    stand(bench, 0.1)
+    enable_hold(bench, 0.1)
     raise TrajectoryError("too fast", t_s=1.5, quantity="wheel speed (m/s)", value=9.0, limit=3.5)
 
 
 def stood(bench, for_s):
-    stand(bench, for_s)
+    enable_hold(bench, for_s)
     return for_s
 
 
@@ -122,8 +122,8 @@ class Struck:
 def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(run_small):
     @procedure(name="two_errands")
     def two_errands(ctx):
-        errands = [DriveJob(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
-        for for_s in ctx.at_once(errands, Struck()):
+        jobs = [DriveJob(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
+        for for_s in ctx.at_once(jobs, Struck()):
             assert for_s == 0.1
 
     result = run_small(two_errands, source=BenchSource("emulated"))
@@ -141,8 +141,8 @@ def test_a_run_that_has_heard_of_all_drives_need_not_ask_for_more(run_small, ask
 
     @procedure(name="two_errands")
     def two_errands(ctx):
-        errands = [DriveJob(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
-        with closing(ctx.at_once(errands, InTurn())) as results:
+        jobs = [DriveJob(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
+        with closing(ctx.at_once(jobs, InTurn())) as results:
             for _ in range(asked_for):
                 assert next(results) == 0.1
 

@@ -18,7 +18,7 @@ from hil.procedure.run_journal import Journal, read_journal
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.step_timer import StepTimer
 from hil.procedure.stop_requests import Interrupts
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
 from tests.procedure.in_turn import InTurn
@@ -45,7 +45,7 @@ def ran(folder, proc, *, resume=False):
 def one_after_the_other(ctx):
     """Falls from the first bench, stands on the second."""
     fall(ctx.reopen("falls"))
-    stand(ctx.reopen("stands"), 0.1)
+    enable_hold(ctx.reopen("stands"), 0.1)
     ctx.measure("done", True)
 
 
@@ -74,7 +74,7 @@ def test_a_bench_that_did_not_hold_is_named_though_the_next_one_held(fell):
 def ends_early(ctx):
     """Falls, and is stopped on the next bench."""
     fall(ctx.reopen("falls"))
-    stand(ctx.reopen("stands"), 0.1)
+    enable_hold(ctx.reopen("stands"), 0.1)
     raise Aborted("the operator has seen it")
 
 
@@ -85,15 +85,15 @@ def test_what_is_worse_stays_the_verdict_and_a_note_names_the_bench(tmp_path):
 
 
 def stood(bench):
-    stand(bench, 0.1)
+    enable_hold(bench, 0.1)
 
 
 @procedure(name="elsewhere", needs=("servos",), measurements=MEASURED)
 def elsewhere(ctx):
     """Falls in one process; benches in others and its own hold."""
-    errands = [DriveJob(ctx.source, drive, label) for label, drive in (("falls", fall), ("stands", stood))]
-    list(ctx.at_once(errands, InTurn()))
-    stand(ctx.reopen("own"), 0.1)
+    jobs = [DriveJob(ctx.source, drive, label) for label, drive in (("falls", fall), ("stands", stood))]
+    list(ctx.at_once(jobs, InTurn()))
+    enable_hold(ctx.reopen("own"), 0.1)
     ctx.measure("done", True)
 
 
@@ -112,7 +112,7 @@ def twice(*, fails):
         ctx.measure("done", True)
 
     def second(ctx):
-        stand(ctx.reopen("stands"), 0.1)
+        enable_hold(ctx.reopen("stands"), 0.1)
         if fails:
             raise KeyboardInterrupt
 

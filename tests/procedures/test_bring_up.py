@@ -12,7 +12,7 @@ from hil.core.clock import nanoseconds
 from hil.fakes.mocap import NatNetServer
 from hil.fakes.tracker import T265
 from hil.loop.control_loop import ControlLoop
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.bring_up import Parameters, measurements
 from hil.procedures.bring_up.jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives, expected_push
 from hil.procedures.bring_up.streams import judge_stream
@@ -123,7 +123,7 @@ def test_what_holds_the_robot_is_young_enough_whenever_it_reports(fan, propeller
 def ages_ms(overrides, names=("servos", "encoders", "imu", "mocap"), seed=0):
     """(age at rest, age allowed) by device, as bring_up judges them."""
     with open_bench("emulated", seed=seed, overrides={"tracker": None, **overrides}) as bench:
-        stand(bench)
+        enable_hold(bench)
         motion, config = bench.observe(1.0, feedback="odometry"), bench.config
     limits = {m.name: m.high for m in measurements(Parameters(), config)}
     return {

@@ -7,7 +7,7 @@ import pytest
 from made_calibrations import made
 
 from hil.bench import open_bench
-from hil.calibration.versions import Shelf
+from hil.calibration.versions import CalibrationVersions
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
@@ -17,8 +17,8 @@ FLOOR = resources.files("hil.config.profiles").joinpath("emulated_floor.toml")
 
 
 @pytest.fixture
-def shelf(tmp_path):
-    return Shelf(tmp_path / "calibration.toml")
+def versions(tmp_path):
+    return CalibrationVersions(tmp_path / "calibration.toml")
 
 
 STANDS = """
@@ -30,11 +30,11 @@ def run(ctx):
 """
 
 
-def test_a_run_that_was_to_use_a_failed_calibration_says_so(shelf, tmp_path, caplog):
-    failed = shelf.add(made(0.0252, "FAIL"))
+def test_a_run_that_was_to_use_a_failed_calibration_says_so(versions, tmp_path, caplog):
+    failed = versions.add(made(0.0252, "FAIL"))
     (tmp_path / "stands.py").write_text(STANDS)
     reported = {}
-    for verdict, path in (("FAIL", failed.path), ("PASS", shelf.add(made(0.0252)).path)):
+    for verdict, path in (("FAIL", failed.path), ("PASS", versions.add(made(0.0252)).path)):
         out = tmp_path / verdict
         caplog.clear()
         words = ["run", tmp_path / "stands.py", "--bench", "emulated_floor", "--out", out]
@@ -64,8 +64,10 @@ def drives(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("command", "which"), [("evaluate", 1), ("replay", 0)])
-def test_who_compares_with_a_failed_calibration_is_reported(shelf, drives, command, which, tmp_path, capsys):
-    failed, good = shelf.add(made(0.0257, "FAIL")), shelf.add(made(0.0257))
+def test_who_compares_with_a_failed_calibration_is_reported(
+    versions, drives, command, which, tmp_path, capsys
+):
+    failed, good = versions.add(made(0.0257, "FAIL")), versions.add(made(0.0257))
     page = {"evaluate": ["--plots", tmp_path], "replay": ["--page", tmp_path / "index.html"]}[command]
     reported = []
     for kept in (failed, good):
@@ -78,8 +80,8 @@ def test_who_compares_with_a_failed_calibration_is_reported(shelf, drives, comma
     assert reported == [[True] * 3, [False] * 3]
 
 
-def test_figures_for_a_bench_are_not_tuned_with_a_failed_calibration(shelf, drives, tmp_path, capsys):
-    failed, asks = shelf.add(made(0.0257, "FAIL")), tmp_path / "bench.toml"
+def test_figures_for_a_bench_are_not_tuned_with_a_failed_calibration(versions, drives, tmp_path, capsys):
+    failed, asks = versions.add(made(0.0257, "FAIL")), tmp_path / "bench.toml"
     asks.write_text("failed_calibration = true\n" + FLOOR.read_text())
     words = [
         "tune",
@@ -99,9 +101,9 @@ def test_figures_for_a_bench_are_not_tuned_with_a_failed_calibration(shelf, driv
 
 
 @pytest.mark.parametrize("command", ["evaluate", "replay"])
-def test_a_calibration_of_another_robot_is_not_compared_with(shelf, drives, command, capsys):
+def test_a_calibration_of_another_robot_is_not_compared_with(versions, drives, command, capsys):
     other = load_bench("emulated_floor", overrides={"servos.steer_ids": [15, 16, 17, 18]})
-    kept = shelf.add(made(config=other))
+    kept = versions.add(made(config=other))
     bench = ["--bench", "emulated_floor"] if command == "evaluate" else []
     assert main([command, str(drives[0]), "--calibration", str(kept.path), *bench]) == 2
     assert "servos.steer_ids" in capsys.readouterr().err

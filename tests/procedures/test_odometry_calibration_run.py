@@ -12,7 +12,7 @@ from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.evaluation import position_rmse, track_all
 from hil.calibration.problem import make_setting
-from hil.calibration.versions import Shelf
+from hil.calibration.versions import CalibrationVersions
 from hil.core.clock import MonotonicClock
 from hil.core.errors import ConfigError
 from hil.datasets.plain_csv import read_plain
@@ -93,9 +93,9 @@ def test_the_result_is_kept_with_its_validation_and_installed(small):
         1e-3 * small.values["position_rmse_after"]
     )
     assert kept.made_for.drive_ids == (1, 2, 3, 4)
-    shelf = Shelf(small.result.folder.parent / "calibration.toml")
-    assert [(v.file.version, v.in_place) for v in shelf.versions()] == [(1, True)]
-    assert shelf.versions()[0].file.parameters == kept.parameters
+    versions = CalibrationVersions(small.result.folder.parent / "calibration.toml")
+    assert [(v.file.version, v.in_place) for v in versions.versions()] == [(1, True)]
+    assert versions.versions()[0].file.parameters == kept.parameters
 
 
 def test_the_report_holds_the_papers_tables_and_what_was_driven(small):
@@ -134,7 +134,7 @@ def test_a_bad_result_is_not_installed(tmp_path):
     done = run("odometry_calibration", tmp_path / "run", parameters, faults=("servos:delayed,delay_s=0.15",))
     assert done.result.verdict.value == "FAIL"
     assert not target.exists()
-    assert [v.file.verdict for v in Shelf(target).versions()] == ["FAIL"]
+    assert [v.file.verdict for v in CalibrationVersions(target).versions()] == ["FAIL"]
     assert any("was left as it is" in n for n in done.result.facts["notes"])
 
 

@@ -22,7 +22,7 @@ BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "ros2_round_trip.py"
 FOLLOWS = f"""
 import numpy as np
 from hil.procedure import Context, Measurement, procedure
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 @procedure(
@@ -32,7 +32,7 @@ from hil.robot.trajectories import line
 )
 def run(ctx: Context) -> None:
     \"\"\"Another program drives up; motion capture says where it got to.\"\"\"
-    start = stand(ctx.bench)
+    start = enable_hold(ctx.bench)
     goal = start + np.array([{UP_M}, 0, 0])
     motion = ctx.bench.drive(line(start, goal, duration_s=3.0), hold_s=1.0)
     ctx.measure("end_error", 1e3 * np.hypot(*(motion.mocap[-1] - goal)[:2]))

@@ -55,7 +55,7 @@ def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_bac
 def test_of_two_the_one_that_sends_and_the_one_that_never_did_are_told_apart(topic, command):
     speaks, silent = command("Twist"), command("Twist", rate_hz=0)
     taken_until(topic, lambda: has(topic, 2)() and any(map(topic.silent_s, topic.publishers())))
-    assert topic.why_several().startswith("/cmd_vel has 2 publishers")
+    assert topic.several_message().startswith("/cmd_vel has 2 publishers")
     silent_s = {one.program: topic.silent_s(one.handle) for one in topic.described()}
     assert silent_s[f"process {silent.pid}"] is None
     assert silent_s[f"process {speaks.pid}"] < PATIENCE_S

@@ -62,7 +62,7 @@ def said(caplog):
 
 def test_who_is_late_each_time_is_late_and_who_is_once_in_time_is_not(line, roll, caplog):
     line.needs[2], line.needs[5] = 0.02, [0.02, 0.02, 0.001]
-    assert roll.call(request) == (2,)
+    assert roll.probe_all(request) == (2,)
     assert roll.late_s == {2: pytest.approx(0.02)}
     assert [joint for joint, _ in line.asked] == [0, 1, 2, 2, 2, 3, 4, 5, 5, 5, 6, 7]
     assert said(caplog) == [
@@ -72,18 +72,18 @@ def test_who_is_late_each_time_is_late_and_who_is_once_in_time_is_not(line, roll
 
 def test_an_answer_at_the_very_edge_is_in_time_and_silence_is_not_lateness(line, roll, caplog):
     line.needs[0], line.needs[1] = IN_TIME_S + 0.0009, NEVER
-    assert roll.call(request) == ()
+    assert roll.probe_all(request) == ()
     assert said(caplog) == []
     assert [joint for joint, _ in line.asked].count(1) == 1
 
 
 def test_what_changes_is_said_once(line, roll, caplog):
     line.needs[2], line.needs[3] = 0.02, 0.03
-    roll.call(request)
-    roll.call(request)
+    roll.probe_all(request)
+    roll.probe_all(request)
     line.needs[2], line.needs[3] = 0.001, NEVER
-    roll.call(request)
-    roll.call(request)
+    roll.probe_all(request)
+    roll.probe_all(request)
     assert [text.split(": ")[1] for text in said(caplog)] == [
         "drive_BR (ID 13) answers after 20 ms, at most 3 ms are expected",
         "drive_FR (ID 14) answers after 30 ms, at most 3 ms are expected",
@@ -95,7 +95,7 @@ def test_what_changes_is_said_once(line, roll, caplog):
 
 def test_a_late_one_is_waited_for_only_where_there_is_time(line, roll, caplog):
     line.needs[2] = 0.02
-    roll.call(request)
+    roll.probe_all(request)
     assert roll.ask(2, *request(2), patient=False).data == b""
     assert line.asked[-1] == (2, IN_TIME_S)
     assert 2 in roll.late_s, "nothing is learnt from a wait that was too short"
@@ -113,7 +113,7 @@ def test_it_is_due_when_bytes_come_unasked_and_not_soon_again(line, roll):
     assert not roll.is_due()
     line.stray = 12
     assert roll.is_due()
-    roll.call(request)
+    roll.probe_all(request)
     line.stray = 12
     assert not roll.is_due()
     line.now_ns += 1_000_000_000
@@ -122,13 +122,13 @@ def test_it_is_due_when_bytes_come_unasked_and_not_soon_again(line, roll):
 
 def test_one_that_is_left_alone_is_asked_again_although_it_says_nothing(line, roll):
     line.needs[2] = 0.06
-    roll.call(request)
-    assert roll.leaves_alone(2)
+    roll.probe_all(request)
+    assert roll.is_too_late(2)
     line.now_ns += 1_000_000_000
     assert roll.is_due()
     line.needs[2] = 0.05
-    roll.call(request)
-    assert not roll.leaves_alone(2)
+    roll.probe_all(request)
+    assert not roll.is_too_late(2)
     line.now_ns += 1_000_000_000
     assert not roll.is_due()
 
@@ -139,7 +139,7 @@ def test_dead_ones_make_it_stop_and_go_on_where_it_was(line, roll):
     found = []
     for _ in range(4):
         began_ns = line.now_ns
-        found.append(roll.call(request))
+        found.append(roll.probe_all(request))
         assert line.now_ns - began_ns < 700_000_000
     assert found == [(), (), (), (7,)]
     assert [joint for joint, _ in line.asked] == [0, 1, 2, 3, 4, 5, 6, 7, 7, 7, 0]

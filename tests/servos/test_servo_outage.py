@@ -16,7 +16,7 @@ def noted(status, *times_ns, alert=0, excused_ns=0):
     statuses, alerts = [Status.OK] * 8, [0] * 8
     statuses[2], alerts[2] = status, alert
     for t_ns in times_ns:
-        watch.excuse(excused_ns)
+        watch.skip_pause(excused_ns)
         watch.note(tuple(statuses), alerts, t_ns)
 
 

@@ -13,8 +13,7 @@ from hil.core.errors import FaultNotSupportedError, UsageError
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
 from hil.fakes.serial_chip import Reply, SerialChip
-from hil.fakes.serial_line import SerialLine, find_line
-from hil.fakes.serial_line import heard as heard_by_a_uart
+from hil.fakes.serial_line import SerialLine, decode_at_baud, find_line
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
@@ -337,9 +336,9 @@ def test_nearly_the_same_rate_is_understood(wired, rates):
 
 @given(data=st.binary(max_size=40), off=st.floats(-0.03, 0.03))
 def test_a_uart_reads_what_was_sent_at_its_rate(data, off):
-    assert heard_by_a_uart(data, 115_200 * (1 + off), 115_200) == data
+    assert decode_at_baud(data, 115_200 * (1 + off), 115_200) == data
 
 
 def test_a_uart_at_half_the_rate_reads_by_its_own_bits():
     """Nine low bits are four and a half of its own: one starts, three are 0, and what follows is the rest."""
-    assert heard_by_a_uart(b"\x00", 9_600, 4_800) == bytes([0b11111000])
+    assert decode_at_baud(b"\x00", 9_600, 4_800) == bytes([0b11111000])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import DeviceTimeoutError
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 UP = np.array([0.1, 0.0, 0.0])
@@ -12,7 +12,7 @@ UP = np.array([0.1, 0.0, 0.0])
 
 def up(bench):
     """Ten centimetres up from where the robot stands."""
-    start = stand(bench)
+    start = enable_hold(bench)
     return line(start, start + UP, duration_s=4.0)
 
 

@@ -16,7 +16,7 @@ from hil.bench.third_party.contract_findings import EARLY_NS, OLDEST_NS
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError
 from hil.core.geometry import Array
-from hil.core.nonfinite import unsaid_holes
+from hil.core.nonfinite import unmarked_nonfinite_fields
 from hil.core.registry import kinds
 from hil.core.signals import KINDS as OURS
 from hil.core.signals import (
@@ -123,7 +123,7 @@ def no_data_is_no_number(subject: Subject) -> str:
         states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
         if len(states) != max(1, len(kind.labels)):
             raise Broken(f"{len(states)} statuses", f"{max(1, len(kind.labels))}", _DRIVER)
-        for name in unsaid_holes(kind, sample, missing):
+        for name in unmarked_nonfinite_fields(kind, sample, missing):
             raise Broken(f"{name} is NaN or infinite with status ok", "a number", _DRIVER)
         for name in set(names) - set(missing):
             for values, said in by_channel(getattr(sample, name), states):

@@ -34,7 +34,7 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import Aborted, HilError
 from hil.core.finding import Finding, Level
 from hil.core.interfaces import Device
-from hil.core.package_errors import OURS, asked
+from hil.core.package_errors import OURS, call_in_package
 from hil.core.registry import base_of, kinds
 from hil.core.signals import Inputs, Measurements, Status, worst
 from hil.devices.doctor_watch import Watched
@@ -252,8 +252,8 @@ def _looks(
     if model.package != OURS:
         yield from find_contract_breaks(watched, waits_s)
     package = model.package if kind.package == OURS else kind.package
-    yield from asked(name, package, "its check or rate_hz", lambda: list(kind.check(watched)))
-    yield from asked(name, model.package, "its check", lambda: list(model.check(watched)))
+    yield from call_in_package(name, package, "its check or rate_hz", lambda: list(kind.check(watched)))
+    yield from call_in_package(name, model.package, "its check", lambda: list(model.check(watched)))
     checks_of(bench.config, name)
 
 

@@ -20,7 +20,7 @@ from hil.core.device import DeviceModel
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.fan_daemon.server import running_daemons
-from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, close_quietly, open_serial
 from hil.support.file_reading import read_toml
 from hil.support.port_users import named, programs_with
 
@@ -102,7 +102,7 @@ def _by_usb(path: str) -> DeviceModel | None:
 
 def _cannot_be_opened(port: str) -> str:
     try:
-        let_go(open_serial(port, baud=_BAUD, timeout_s=_WAIT_S, write_timeout_s=_WAIT_S))
+        close_quietly(open_serial(port, baud=_BAUD, timeout_s=_WAIT_S, write_timeout_s=_WAIT_S))
     except PORT_ERRORS as error:
         reported = cannot_open(port, "", error, expected="a serial port")
         return f"{reported.message.removeprefix(f'{port}: ')}; {reported.remedy}"

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
+from hil.bench.hold.propeller_handover import PropellerObservation, least_push_n
 from hil.bench.loop_settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
@@ -72,7 +72,7 @@ class AdhesionForceCheck:
         rig: DeviceSet,
         limits: AdhesionLimits | None,
         fan: DaemonMotorConfig | None,
-        alone: LeftAlone,
+        alone: PropellerObservation,
         carried: bool = False,
         pretended: Sequence[str] = (),
     ) -> None:
@@ -263,4 +263,4 @@ def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
     carried = carried and not isinstance(own, DaemonMotorConfig)
-    return AdhesionForceCheck(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)
+    return AdhesionForceCheck(rig, limits, kept, PropellerObservation(rig, own, asked_n), carried, pretended)

@@ -61,7 +61,7 @@ _FELT = 10
 """Number of specific-force samples in the median."""
 
 
-class LookTime:
+class HoldCheckDeadline:
     """The time limit of one check.
 
     Args:
@@ -77,13 +77,13 @@ class LookTime:
         self._clear_ns = self._waited_ns = -WINDOW_NS
         self._waits = self._momentary = False
 
-    def heard(self, hold: ServoHold) -> None:
+    def on_servo_status(self, hold: ServoHold) -> None:
         """Process the servos' status; extend the limit for servos that fail now."""
         if hold.trouble and self._answered and self._losses < _LOSSES and not self._strict:
             self._end_ns, self._losses = max(self._end_ns, hold.t_ns + self._limit_ns), self._losses + 1
         self._answered = not hold.trouble
 
-    def saw(self, t_ns: int, *, doubt: bool, waits: bool) -> None:
+    def on_observation(self, t_ns: int, *, doubt: bool, waits: bool) -> None:
         """Process the result of one sample.
 
         Args:
@@ -100,7 +100,7 @@ class LookTime:
         self._momentary = t_ns - since_ns < WINDOW_NS
 
     def is_up(self, now_ns: int) -> bool:
-        """Whether the check ends without HELD; counts late samples, so call it once after each `saw`."""
+        """Whether the check ends without HELD; counts late samples: call once after each `on_observation`."""
         if now_ns < self._end_ns:
             return False
         self._late_looks += not self._waits
@@ -220,13 +220,13 @@ class HoldMonitor(Sink):
         if servos is None or not servos.identity():
             return self.unseen("no servos are open", wanted=False)
         began_ns = self._clock.now_ns()
-        time = LookTime(began_ns, limit_s, strict=strict)
+        time = HoldCheckDeadline(began_ns, limit_s, strict=strict)
         trails = {name: Trail(kind.motion_threshold) for name, kind in self._seeing.items()}
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
         while True:
             hold = servos.look_after()
-            time.heard(hold)
+            time.on_servo_status(hold)
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)
@@ -235,7 +235,7 @@ class HoldMonitor(Sink):
             unpressed = self._press.doubt(
                 self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=moves
             )
-            time.saw(hold.t_ns, doubt=bool(doubt), waits=self._press.waits)
+            time.on_observation(hold.t_ns, doubt=bool(doubt), waits=self._press.waits)
             doubt = doubt or unpressed or self._doubt_of_floor()
             # wait no longer than this for sensors that have begun to deliver
             early = hold.t_ns - began_ns < 2 * max(trail.window_ns for trail in trails.values())

@@ -25,7 +25,7 @@ _BETTER = 1.2
 _HALVINGS = 8
 
 
-class LeftAlone:
+class PropellerObservation:
     """Observation time of propellers without feedback.
 
     Args:
@@ -85,7 +85,7 @@ class LeftAlone:
         if self._rig.get("thrust") is None:
             return _PAUSE_S
         known = self._propellers
-        return math.inf if known is None else known.gives_way_s(self._asked_n, least_n)
+        return math.inf if known is None else known.force_lost_after_s(self._asked_n, least_n)
 
     def _leave(self, *, alone: bool) -> None:
         device = self._rig.get("thrust")

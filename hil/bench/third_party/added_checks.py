@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from hil.config.bench import BenchConfig
 from hil.core.further_device import FurtherKind
-from hil.core.package_errors import OURS, PackageError, asked, blamed
+from hil.core.package_errors import OURS, PackageError, call_in_package, errors_as_package_error
 from hil.core.registry import base_of, kinds
 from hil.loop.cycle_data import Check, Cycle, LastingCheck
 
@@ -30,18 +30,18 @@ class GuardedCheck(Check):
 
     def reset(self) -> None:
         """Reset the package's check."""
-        with blamed(self._kind, self._package, "reset() of its check"):
+        with errors_as_package_error(self._kind, self._package, "reset() of its check"):
             self._check.reset()
 
     def on_samples(self, cycle: Cycle) -> None:
         """Call the check. Raises `PackageError`."""
-        with blamed(self._kind, self._package, "on_samples() of its check"):
+        with errors_as_package_error(self._kind, self._package, "on_samples() of its check"):
             self._check.on_samples(cycle)
         self._reasons(cycle)
 
     def on_estimate(self, cycle: Cycle) -> None:
         """Call the check. Raises `PackageError`."""
-        with blamed(self._kind, self._package, "on_estimate() of its check"):
+        with errors_as_package_error(self._kind, self._package, "on_estimate() of its check"):
             self._check.on_estimate(cycle)
         self._reasons(cycle)
 
@@ -119,7 +119,7 @@ def checks_of(config: BenchConfig, name: str) -> Sequence[Check]:
     def refuse(found: object, expected: str) -> PackageError:
         return PackageError(name, kind.package, f"checks() gave {found!r:.80}", expected=expected)
 
-    given = asked(name, kind.package, "checks()", kind.checks, table)
+    given = call_in_package(name, kind.package, "checks()", kind.checks, table)
     if not isinstance(given, (tuple, list)) or not all(isinstance(one, Check) for one in given):
         raise refuse(given, "a tuple of Check, of hil.devkit")
     there = {*config.devices(), base_of(name)}

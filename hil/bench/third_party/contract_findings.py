@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.finding import Finding
-from hil.core.nonfinite import unsaid_holes
+from hil.core.nonfinite import unmarked_nonfinite_fields
 from hil.core.signals import Status, worst
 from hil.devices.doctor_watch import Watched
 
@@ -30,7 +30,9 @@ def find_contract_breaks(watched: Watched, waits_s: Sequence[float]) -> Iterator
     """
     name, samples = watched.kind.name, watched.samples
     holes = {
-        field for sample in samples for field in unsaid_holes(watched.kind, sample, watched.not_measured)
+        field
+        for sample in samples
+        for field in unmarked_nonfinite_fields(watched.kind, sample, watched.not_measured)
     }
     if holes:
         yield Finding(

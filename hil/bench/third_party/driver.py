@@ -31,7 +31,7 @@ from hil.core.device import DeviceKind, DeviceModel
 from hil.core.errors import HilError, error_text
 from hil.core.geometry import Array
 from hil.core.interfaces import Device
-from hil.core.package_errors import OURS, PackageError, blamed
+from hil.core.package_errors import OURS, PackageError, errors_as_package_error
 from hil.core.signals import Stamp, Status
 from hil.recording.cycle_codec import DTYPES
 
@@ -219,7 +219,7 @@ class ThirdPartyDriver:
         self._checks = checks_of(kind)
 
     def _blamed(self, what: str) -> Any:
-        return blamed(self._kind.name, self._package, what)
+        return errors_as_package_error(self._kind.name, self._package, what)
 
     @contextmanager
     def _watched(self, what: str, limit: TimeLimit) -> Iterator[None]:

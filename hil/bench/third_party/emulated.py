@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from hil.bench.third_party.call_timeout import with_time_limit
 from hil.core.device import DeviceModel
 from hil.core.errors import HilError
-from hil.core.package_errors import OURS, PackageError, blamed
+from hil.core.package_errors import OURS, PackageError, errors_as_package_error
 from hil.devices.emulated_device import Transport
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
@@ -56,7 +56,9 @@ class ThirdPartyPart(Scheduled):
     def _contained(self, what: str) -> Iterator[None]:
         """Run code of the package; store its error in the world."""
         try:
-            with blamed(self._kind, self._model.package, f"{what} of the emulated {self._model.name}"):
+            with errors_as_package_error(
+                self._kind, self._model.package, f"{what} of the emulated {self._model.name}"
+            ):
                 yield
         except HilError as error:
             self._world.failures.setdefault(self._kind, error)
@@ -113,7 +115,7 @@ class ThirdPartyTransport(ThirdPartyPart, Transport):
 
     def endpoint(self) -> Mapping[str, object]:
         """Endpoint of the transport; its exceptions are raised as `PackageError`."""
-        with blamed(self._kind, self._model.package, "endpoint()"):
+        with errors_as_package_error(self._kind, self._model.package, "endpoint()"):
             return self._transport.endpoint()
 
     def close(self) -> None:

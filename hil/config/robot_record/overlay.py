@@ -21,7 +21,7 @@ _TRUE_MOUNTS = ("mount_position_m", "mount_rotation_wxyz")
 """Keys of a device that also say how an emulated one is truly mounted, unless `[emulation]` does."""
 
 
-def laid_over(tree: dict[str, Any], overrides: Mapping[str, object], today: date) -> RecordFile | None:
+def apply_record(tree: dict[str, Any], overrides: Mapping[str, object], today: date) -> RecordFile | None:
     """Put the values of the record that a bench file or an override names into the parsed file.
 
     Args:

@@ -119,7 +119,7 @@ class DaemonInWorld(MotorCommander, Scheduled):
 
     def set(self, point: SetPoint) -> None:
         """Change the set-point along the ramp."""
-        self._bus_cycle().control.wish(self._world.now_ns, point)
+        self._bus_cycle().control.set_target(self._world.now_ns, point)
 
     def end(self, confirmed_by: str) -> None:
         """Let the fan come to rest along the ramp."""

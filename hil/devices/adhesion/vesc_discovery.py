@@ -18,7 +18,7 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
 
     A bus on which a daemon commands a fan or propellers is only listened to.
     """
-    from hil.drivers.adhesion.vesc_identity import ask_who
+    from hil.drivers.adhesion.vesc_identity import discover_controllers
     from hil.drivers.adhesion.vesc_settings import Answers
     from hil.fan_daemon.server import is_on, running_daemons
     from hil.links.can_bus import CanLink
@@ -36,7 +36,7 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
         link = CanLink("adhesion", query, search.clock)
         try:
             link.open()
-            seen = ask_who(link, query, search.clock, Answers(), silent=busy)
+            seen = discover_controllers(link, query, search.clock, Answers(), listen_only=busy)
         except HilError as error:
             search.say(str(error))
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from hil.config.adhesion import VescConfig
-from hil.core.device import Found, Search, loaded
+from hil.core.device import Found, Search, import_object
 from hil.devices.adhesion.vesc_discovery import controllers
 from hil.devices.serial_and_can_models import CanModel
 
@@ -21,8 +21,8 @@ class DaemonFan(CanModel):
         from hil.devices.emulated_can import channel_of
 
         channel = channel_of(request)
-        node = loaded(self.chip).build(request, channel)
-        dbc = loaded(self.dbc) if self.dbc else ""
+        node = import_object(self.chip).build(request, channel)
+        dbc = import_object(self.dbc) if self.dbc else ""
         return commanded_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, printed=self.printed)
 
     def search(self, search: Search) -> Found | None:

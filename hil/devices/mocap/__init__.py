@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.config.mocap import MocapConfig
 from hil.core.clock import nanoseconds
-from hil.core.device import Connection, DeviceKind, DeviceModel, Found, Search, Topic, opens
+from hil.core.device import Connection, DeviceKind, DeviceModel, Found, Search, Topic, can_open
 from hil.core.finding import Finding, Level
 from hil.core.geometry import Array
 from hil.core.signals import MocapSample, Status
@@ -58,7 +58,7 @@ class NatNet(DeviceModel):
         """Query the capture servers that the user has named."""
         for config in search.given.get("mocap", ()):
             search.say(f"asking the capture server {config.server}")
-            if opens(self.make_driver(config, search.clock)):
+            if can_open(self.make_driver(config, search.clock)):
                 return Found(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
         return None
 

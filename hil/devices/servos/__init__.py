@@ -12,7 +12,7 @@ from hil.config.servo_models import model_text, models_text, servo_models
 from hil.config.servo_models.codes import hardware_error_text
 from hil.config.servos import ServosConfig
 from hil.core.clock import Clock, nanoseconds
-from hil.core.device import DeviceKind, Figures, Found, Plot, Topic, loaded
+from hil.core.device import DeviceKind, Figures, Found, Plot, Topic, import_object
 from hil.core.errors import HilError
 from hil.core.finding import Finding
 from hil.core.geometry import Array
@@ -45,7 +45,7 @@ class Dynamixel(SerialModel):
 
         config: ServosConfig = request.config
         reported = {"baud": config.baud, "ids": list(config.ids)}
-        bus = loaded(self.chip).build(request)
+        bus = import_object(self.chip).build(request)
         return on_serial_line(request, bus, latency_s=config.usb_latency_s, printed=reported)
 
     def probe(self, port: str, clock: Clock) -> Found | None:

@@ -20,7 +20,7 @@ from hil.core.signals import AdhesionSample, Stamp, Status
 from hil.drivers.adhesion.can_motor import DaemonMotor
 from hil.fan_daemon.commander import MakeCommander
 from hil.fan_daemon.fan_control import SetPoint
-from hil.links.silence_limit import Usefulness
+from hil.links.silence_limit import SilenceTimer
 from hil.links.stuck_values import StuckTest
 
 _NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
@@ -142,8 +142,8 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
 
     def _forget(self) -> None:
         super()._forget()
-        self._usefulness = Usefulness(self._config.fail_after_s)
-        self._usefulness.begin(self._clock.now_ns())
+        self._silence_timer = SilenceTimer(self._config.fail_after_s)
+        self._silence_timer.begin(self._clock.now_ns())
         self._stuck = StuckTest(_STUCK_S)
         self._trim: SpeedTrim | None = None
         self._latest: AdhesionSample | None = None
@@ -155,10 +155,10 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
             DeviceTimeoutError: the controller has been silent for `fail_after_s`.
         """
         commander = self._must_be_open()
-        samples: list[AdhesionSample] = self._link.heard()
+        samples: list[AdhesionSample] = self._link.read_samples()
         now_ns = self._clock.now_ns()
-        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
-            raise self._silence("the fan's controller", lost_ns, "it lets go of the motor")
+        if overdue_ns := self._silence_timer.overdue_ns(bool(samples), now_ns):
+            raise self._silence("the fan's controller", overdue_ns, "it lets go of the motor")
         if samples:
             self._latest = samples[-1]
             self._link.error = ""

@@ -71,7 +71,7 @@ class DaemonMotor(Holding[S], Generic[C, S]):
             self._commander = self._make_commander(spec, self._clock)
             self._commander.open()
             self._forget()
-            self._link.listen_for(self._meaning)
+            self._link.set_decoder(self._meaning)
         except BaseException:
             self.close()
             raise

@@ -12,7 +12,7 @@ from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.finding import Finding
 from hil.drivers.adhesion.can_fan import Figures, MotorFan
-from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
+from hil.drivers.adhesion.vesc_identity import BusReplies, discover_controllers
 from hil.drivers.adhesion.vesc_settings import Answers
 from hil.fan_daemon.commander import MakeCommander, finding
 from hil.fan_daemon.spec import Spec
@@ -57,7 +57,7 @@ class VescFan(MotorFan[VescConfig]):
 
     def _greet(self, spec: Spec) -> dict[str, str]:
         self._answers = Answers()
-        self._seen = ask_who(self._link, self._config, self._clock, self._answers)
+        self._seen = discover_controllers(self._link, self._config, self._clock, self._answers)
         self._seen.check(self.name, self._link, self._config, self._answers, spec)
         return {
             "model": "VESC",

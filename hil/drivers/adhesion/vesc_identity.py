@@ -136,8 +136,8 @@ class BusReplies:
         return Finding(name, "firmware", "warning" if old else "ok", firmware, "5.03 or later", remedy)
 
 
-def ask_who(
-    link: CanLink, config: VescConfig, clock: Clock, answers: Answers, *, silent: bool = False
+def discover_controllers(
+    link: CanLink, config: VescConfig, clock: Clock, answers: Answers, *, listen_only: bool = False
 ) -> BusReplies:
     """Ping all controllers, request the configured one's settings, and listen until they come or time is up.
 
@@ -146,10 +146,10 @@ def ask_who(
         config: of the configured controller.
         clock: the bench clock.
         answers: receives the settings of the controller.
-        silent: only listen.
+        listen_only: send nothing.
     """
     seen = BusReplies()
-    if not silent:
+    if not listen_only:
         ping = ping_frame(ALL_SERVOS, config.own_id)
         link.send(ping.id, ping.data, extended=True)
     asked, own = 0, config.controller_id

@@ -20,7 +20,7 @@ from hil.drivers.encoders.frame_layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus, NodeTimeline
 from hil.links.can_arrival_times import ArrivalClock
 from hil.links.can_bus import BUS_ERRORS, has_failed, open_bus, receiver, remedy_of_silence, shut
-from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.silence_limit import SilenceTimer, used_while_closed
 
 _EVERY_NS = NS_PER_S
 _LOG = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ _OFTEN, _TOGETHER_NS = 4, 1_000_000_000
 """So many clock jumps within so long mean two nodes: one cannot restart in a quarter of a second."""
 
 
-class Seldom:
+class RateLimitedWarning:
     """Logs one kind of warning, at most once a second.
 
     Args:
@@ -84,14 +84,14 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._bus_error = ""
         self._resumed_at = 0
         self._identity: dict[str, str] = {}
-        self._usefulness, self._yellow_mode = Usefulness(config.fail_after_s), config.yellow_mode
+        self._silence_timer, self._yellow_mode = SilenceTimer(config.fail_after_s), config.yellow_mode
         self._over_ns = max(_OVER_NS, nanoseconds(1.0 / config.rate_hz))
         self._forget()
 
     def _forget(self) -> None:
         self.malformed = self.incomplete = self.error_frames = self.passed_over = self.floods = 0
         self.restarted: deque[int] = deque(maxlen=_OFTEN)
-        self._say_restarted, self._say_malformed = Seldom(_LOG), Seldom(_LOG)
+        self._say_restarted, self._say_malformed = RateLimitedWarning(_LOG), RateLimitedWarning(_LOG)
 
     def open(self) -> None:
         """Load the DBC, open the bus and wait for complete sample sets.
@@ -120,7 +120,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         except BaseException:
             self.close()
             raise
-        self._usefulness.begin(self._clock.now_ns())
+        self._silence_timer.begin(self._clock.now_ns())
         self._bus_error = ""
         self._identity = {
             "model": "AS5045",
@@ -138,7 +138,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     @property
     def port_gone(self) -> bool:
         """Whether the CAN interface itself fails, and nothing has come for a while."""
-        return has_failed(self._bus_error, self._clock.now_ns() - self._usefulness.good_ns)
+        return has_failed(self._bus_error, self._clock.now_ns() - self._silence_timer.good_ns)
 
     def close(self) -> None:
         """Close the bus. Idempotent; never raises."""
@@ -179,8 +179,8 @@ class As5045Encoders(Sensor[EncoderSample]):
             raise used_while_closed(self.name, self._port)
         now_ns = self._clock.now_ns()
         samples = self._received(self._bus, now_ns)
-        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
-            raise self._silent(lost_ns / NS_PER_S)
+        if overdue_ns := self._silence_timer.overdue_ns(bool(samples), now_ns):
+            raise self._silent(overdue_ns / NS_PER_S)
         if samples:
             self._bus_error = ""
         return tuple(samples)

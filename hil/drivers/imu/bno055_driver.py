@@ -19,7 +19,7 @@ from hil.drivers.imu import bno055_burst
 from hil.drivers.imu.bno055_calibration import ImuCalibration
 from hil.drivers.imu.bno055_protocol import ExchangeError, Link
 from hil.drivers.imu.bno055_setup import MODES, OPR_MODE, REMEDY, Chip
-from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.silence_limit import SilenceTimer, used_while_closed
 from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._patience_ns = nanoseconds(config.reply_timeout_s)
         self._age_ns = nanoseconds(config.sample_age_s - _REQUEST_BITS / config.baud)
         self._check_ns = nanoseconds(config.check_period_s)
-        self._usefulness = Usefulness(config.fail_after_s)
+        self._silence_timer = SilenceTimer(config.fail_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
         self._sequence = 0
         self._length = bno055_burst.LENGTH
@@ -99,7 +99,7 @@ class Bno055Imu(Sensor[ImuSample]):
             raise
         self._identity = identity
         now_ns = self._clock.now_ns()
-        self._usefulness.begin(now_ns)
+        self._silence_timer.begin(now_ns)
         self._stuck.reset(now_ns)
         self._next_check_ns = now_ns + self._check_ns
         self._checked_ns = self._next_poll_ns = now_ns
@@ -203,11 +203,11 @@ class Bno055Imu(Sensor[ImuSample]):
         return self._empty(error.status, now_ns)
 
     def _judge(self, status: Status, now_ns: int, error: ExchangeError | None = None) -> None:
-        if lost_ns := self._usefulness.lost_ns(status is _OK, now_ns):
+        if overdue_ns := self._silence_timer.overdue_ns(status is _OK, now_ns):
             reason = error.reason if error is not None else f"last status {status.value}"
             raise DeviceTimeoutError(
                 self.name,
-                f"nothing usable for {lost_ns / NS_PER_S:.1f} s ({reason})",
+                f"nothing usable for {overdue_ns / NS_PER_S:.1f} s ({reason})",
                 port=self._config.port,
                 expected="a burst in every cycle",
                 remedy=REMEDY,

@@ -13,7 +13,7 @@ from typing import Any
 from hil.config.imu import Bno055Config
 from hil.core.clock import Clock, nanoseconds
 from hil.core.signals import Status
-from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, close_quietly, open_serial
 
 READ, WRITE = 0x01, 0x00
 STATUS_TEXT = {
@@ -78,7 +78,7 @@ class Link:
 
     def close(self) -> None:
         """Close the port; never raises."""
-        let_go(self._port)
+        close_quietly(self._port)
 
     def read(self, register: int, length: int, deadline_ns: int) -> bytes:
         """Read registers, repeating until `deadline_ns`; raises `ExchangeError`."""

@@ -19,7 +19,7 @@ from hil.drivers.mocap.natnet_session import Session
 from hil.drivers.mocap.udp_ports import DatagramFactory, udp_ports
 from hil.links.device_clock import DeviceClock
 from hil.links.pose_jumps import JumpTest
-from hil.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
+from hil.links.silence_limit import USELESS, SilenceTimer, nothing_usable, used_while_closed
 from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class NatNetMocap(Sensor[MocapSample]):
         self._jumps = JumpTest.of(config)
         self._y_up = config.up_axis == "y"
         self._reconnect_ns = nanoseconds(config.reconnect_after_s)
-        self._usefulness = Usefulness(config.fail_after_s)
+        self._silence_timer = SilenceTimer(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
         self._seq_base, self._number, self._resumed_at = 0, -1, 0
@@ -92,7 +92,7 @@ class NatNetMocap(Sensor[MocapSample]):
             self.close()
             raise
         self._heard_ns = self._clock.now_ns()
-        self._usefulness.begin(self._heard_ns)
+        self._silence_timer.begin(self._heard_ns)
         self._identity = {
             "model": server.application,
             "version": server.application_version,
@@ -142,8 +142,8 @@ class NatNetMocap(Sensor[MocapSample]):
         elif now_ns - self._heard_ns > self._reconnect_ns:
             self._heard_ns = now_ns
             session.connect()
-        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
-            raise self._silent(nothing_usable("frame", lost_ns, samples))
+        if overdue_ns := self._silence_timer.overdue_ns(useful, now_ns):
+            raise self._silent(nothing_usable("frame", overdue_ns, samples))
         return tuple(samples)
 
     @property

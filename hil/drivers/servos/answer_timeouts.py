@@ -26,11 +26,11 @@ class AnswerTimeouts:
         self._limit_ns = nanoseconds(config.fail_after_s)
         self._good_ns = [now_ns] * 8
 
-    def excuse(self, silence_ns: int) -> None:
+    def skip_pause(self, silence_ns: int) -> None:
         """Leave out `silence_ns` without requests, in which no servo failed to answer."""
         self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
 
-    def saw(self, status: tuple[Status, ...], now_ns: int) -> bool:
+    def record(self, status: tuple[Status, ...], now_ns: int) -> bool:
         """Record which servos were usable at `now_ns`; returns whether all were."""
         if status is ALL_OK:
             self._good_ns = [now_ns] * 8
@@ -52,7 +52,7 @@ class AnswerTimeouts:
             DeviceTimeoutError: a servo has not answered usably for `fail_after_s`.
             DeviceError: a servo has reported a hardware error for `fail_after_s`.
         """
-        if self.saw(status, now_ns):
+        if self.record(status, now_ns):
             return
         late = [j for j in range(8) if now_ns - self._good_ns[j] > self._limit_ns]
         if late:

@@ -124,7 +124,7 @@ class CycleReader:
         if self.asked():
             self.read()
         if self._incomplete and self._roll.is_due():
-            for joint in self._roll.call(lambda j: self._group(self._full, (j,))):
+            for joint in self._roll.probe_all(lambda j: self._group(self._full, (j,))):
                 self._leave_out(joint)
         self._ask(self._full, tuple(self._order))
         self._thorough = True
@@ -259,7 +259,7 @@ class CycleReader:
         revived = []
         now_ns = self._clock.now_ns()
         for j, due_ns in self._dead.items():
-            if self._roll.leaves_alone(j):
+            if self._roll.is_too_late(j):
                 continue
             if self._thorough or now_ns >= due_ns:
                 group, timeout_s = self._group(kind, (j,))

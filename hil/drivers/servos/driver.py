@@ -166,7 +166,7 @@ class DynamixelServos(Actuators):
             self._doubtful |= self._paused
             return
         if silence_ns > _PAUSE_NS:
-            self._outage.excuse(silence_ns)
+            self._outage.skip_pause(silence_ns)
         self._cycle.ask(full=self._paused or self._look_closely())
 
     def _tripped_by(self, silence_ns: int) -> bool:
@@ -321,9 +321,9 @@ class DynamixelServos(Actuators):
         self._audit(reading)
         position = self._samples.position(reading)
         now_ns = self._clock.now_ns()
-        self._outage.saw(reading.status, now_ns)
+        self._outage.record(reading.status, now_ns)
         self._keep_alive.attended(now_ns)
-        self._upkeep.insist(reading.status)
+        self._upkeep.resend_torque(reading.status)
         trouble = self._upkeep.trouble(reading)
         upkeep = self._upkeep
         return ServoHold(now_ns, position, upkeep.torque, trouble, self._cycle.late(), upkeep.released)

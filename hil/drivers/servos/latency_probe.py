@@ -51,13 +51,13 @@ class LatencyProbe:
         """Whether unexpected bytes have come, or a servo must be read alone; not soon after a probe."""
         if self._clock.now_ns() < self._next_ns:
             return False
-        return any(map(self.leaves_alone, self.late_s)) or bool(self._bus.unasked())
+        return any(map(self.is_too_late, self.late_s)) or bool(self._bus.unasked())
 
-    def leaves_alone(self, joint: int) -> bool:
+    def is_too_late(self, joint: int) -> bool:
         """Whether a servo is too late to be waited for in `CycleReader.look`."""
         return _SPARE * self.late_s.get(joint, 0.0) > self._longest_s
 
-    def call(self, request: Callable[[int], tuple[GroupRead, float]]) -> tuple[int, ...]:
+    def probe_all(self, request: Callable[[int], tuple[GroupRead, float]]) -> tuple[int, ...]:
         """Read the eight servos, each alone; returns the joints of those found late.
 
         Args:

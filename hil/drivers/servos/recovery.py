@@ -219,7 +219,7 @@ class RamRecovery:
             _LOG.warning("%s: restarted, set up again: %s", self._device, ", ".join(restarted))
         return tuple(repaired)
 
-    def insist(self, status: Sequence[Status]) -> None:
+    def resend_torque(self, status: Sequence[Status]) -> None:
         """Send torque on to silent servos: one that has restarted may receive it, but its answers are lost.
 
         It then holds with its power-up goals, at which it stands still, until it can be set up again.

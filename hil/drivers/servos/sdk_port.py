@@ -15,7 +15,7 @@ from typing import Any
 from dynamixel_sdk import PortHandler
 
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
-from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, close_quietly, open_serial
 
 _BITS = 10
 _SMALLEST_TIMEOUT_S = 1e-4
@@ -95,7 +95,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def closePort(self) -> None:
         """Close the port; never raises."""
         ser, self.ser, self.is_open, self.is_using = self.ser, None, False, False
-        let_go(ser)
+        close_quietly(ser)
 
     def wire_s(self, count: int) -> float:
         """Time of `count` bytes on the wire."""

@@ -18,7 +18,7 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceTimeoutError, UsageError
 from hil.core.interfaces import Holding
 from hil.core.signals import Stamp, Status, ThrustSample
-from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, close_quietly, open_serial
 from hil.links.silence_limit import used_while_closed
 
 _LOG = logging.getLogger(__name__)
@@ -77,7 +77,7 @@ class TeensyThrust(Holding[ThrustSample]):
         self._identity, self._next_ns = {}, 0
         with self._talking:
             port, self._port = self._port, None
-        let_go(port)
+        close_quietly(port)
 
     def identity(self) -> Mapping[str, str]:
         """Model, port and baud rate; empty while closed."""

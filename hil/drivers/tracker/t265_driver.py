@@ -33,10 +33,10 @@ from hil.drivers.tracker.librealsense_interface import (
     identity_of,
     realsense,
 )
-from hil.drivers.tracker.t265_settings import WheelVelocities, tell
+from hil.drivers.tracker.t265_settings import WheelVelocities, apply_settings
 from hil.links.device_clock import DeviceClock
 from hil.links.pose_jumps import JumpTest
-from hil.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
+from hil.links.silence_limit import USELESS, SilenceTimer, nothing_usable, used_while_closed
 from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
@@ -86,7 +86,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._queue: deque[_Raw] = deque(maxlen=config.queue_length)
         self._clock_map = DeviceClock(nanoseconds(config.latency_s))
         self._jumps = JumpTest.of(config)
-        self._usefulness = Usefulness(config.fail_after_s)
+        self._silence_timer = SilenceTimer(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
         self.overflowed = self.repeated = self.malformed = 0
@@ -109,7 +109,7 @@ class T265Tracker(Sensor[TrackerSample]):
         except BaseException:
             self.close()
             raise
-        self._usefulness.begin(self._clock.now_ns())
+        self._silence_timer.begin(self._clock.now_ns())
 
     def reopen(self) -> None:
         """As `open`, after an outage: sample numbers go on, and the first usable pose has status RESET."""
@@ -156,8 +156,8 @@ class T265Tracker(Sensor[TrackerSample]):
                 samples.append(sample)
                 useful = useful or sample.status not in USELESS
         now_ns = self._clock.now_ns()
-        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
-            raise self._silent(lost_ns, samples)
+        if overdue_ns := self._silence_timer.overdue_ns(useful, now_ns):
+            raise self._silent(overdue_ns, samples)
         return tuple(samples)
 
     def take_wheel_velocity(self, v_x_m_s: float, v_y_m_s: float) -> None:
@@ -202,7 +202,7 @@ class T265Tracker(Sensor[TrackerSample]):
                 request.enable_device(serial)
             there = request.resolve(pipeline).get_device()
             in_real_time = self._clock.wall_offset() is not None
-            self._wheels = tell(there, library, self._config, self.name, beside=in_real_time)
+            self._wheels = apply_settings(there, library, self._config, self.name, beside=in_real_time)
             device = pipeline.start(request, self._take).get_device()
             found = identity_of(device, library, self.name)
         except DeviceError:

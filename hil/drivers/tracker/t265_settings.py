@@ -51,7 +51,9 @@ def wheel_calibration(config: T265Config) -> str:
     return json.dumps({"velocimeters": [sensor]})
 
 
-def tell(device: Any, library: Any, config: T265Config, name: str, *, beside: bool) -> WheelVelocities | None:
+def apply_settings(
+    device: Any, library: Any, config: T265Config, name: str, *, beside: bool
+) -> WheelVelocities | None:
     """Set the map options of the camera and, if configured, its wheel odometry.
 
     Args:

@@ -23,7 +23,7 @@ MARK = 0
 """Number of an event without a sample: the start, or the end of a cycle."""
 NUMBERS = {sensor.NAME: number for number, sensor in enumerate(SENSORS, start=1)}
 
-BENT = (False, *(sensor.BENT for sensor in SENSORS))
+NONLINEAR = (False, *(sensor.NONLINEAR for sensor in SENSORS))
 ANGLE_ROW = (-1, *(sensor.ANGLE_ROW for sensor in SENSORS))
 GATED_TOGETHER = (False, *(sensor.GATED_TOGETHER for sensor in SENSORS))
 """Attributes of `Sensor` of the same names, indexed by sensor number."""
@@ -94,15 +94,15 @@ def account(
 
 
 @inner
-def let_in(number: int, limit: float, t_ns: float, p: Array, m: Any, par: Any) -> bool:
-    """`Sensor.let_in` of the sensor with this number."""
+def reanchor(number: int, limit: float, t_ns: float, p: Array, m: Any, par: Any) -> bool:
+    """`Sensor.reanchor` of the sensor with this number."""
     if number == 1:
-        return wheels.let_in(limit, t_ns, p, m.wheels, par.wheels)
+        return wheels.reanchor(limit, t_ns, p, m.wheels, par.wheels)
     if number == 2:
-        return gyro.let_in(limit, t_ns, p, m.gyro, par.gyro)
+        return gyro.reanchor(limit, t_ns, p, m.gyro, par.gyro)
     if number == 3:
-        return tracker.let_in(limit, t_ns, p, m.tracker, par.tracker)
-    return mocap.let_in(limit, t_ns, p, m.mocap, par.mocap)
+        return tracker.reanchor(limit, t_ns, p, m.tracker, par.tracker)
+    return mocap.reanchor(limit, t_ns, p, m.mocap, par.mocap)
 
 
 @inner

@@ -30,7 +30,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.support.numba_jit import inner
 
 NAME = "gyro"
-BENT = False
+NONLINEAR = False
 ANGLE_ROW = 1
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "rate.nis_mean": 1.0, "gravity.nis_mean": 1.0}
@@ -167,7 +167,7 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
 
 
 @inner
-def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
+def reanchor(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """Raise the variance of heading and offset, or of rate and bias, after too many rejections in a row."""
     if m.gravity.in_row >= limit:
         m.gravity.in_row = 0.0

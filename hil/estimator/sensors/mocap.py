@@ -7,7 +7,7 @@ import math
 from hil.config.estimator import EstimatorConfig
 from hil.core.geometry import Array
 from hil.core.named_records import Record
-from hil.estimator.sensors.pose_sensor import PoseRow, pack_pose, read, shake
+from hil.estimator.sensors.pose_sensor import PoseRow, inflate_pose_variance, pack_pose, read
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     REFUSED,
@@ -23,7 +23,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.support.numba_jit import inner
 
 NAME = "mocap"
-BENT = False
+NONLINEAR = False
 ANGLE_ROW = 2
 GATED_TOGETHER = True
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
@@ -99,13 +99,13 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
 
 
 @inner
-def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
+def reanchor(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """Raise the variance of the pose after too many rejections in a row."""
     if m.tally.in_row < limit:
         return False
     m.tally.in_row = 0.0
     m.tally.reanchored += 1.0
-    shake(p, 1.0, 1.0)
+    inflate_pose_variance(p, 1.0, 1.0)
     return False
 
 

@@ -51,7 +51,7 @@ def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> in
 
 
 @inner
-def shake(p: Array, var_m: float, var_rad: float) -> None:
+def inflate_pose_variance(p: Array, var_m: float, var_rad: float) -> None:
     """Raise the variance of the pose and of its clone alike, in place.
 
     The clone is included because the wheels measure only the displacement between both.

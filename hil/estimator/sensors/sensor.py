@@ -103,7 +103,7 @@ class Sensor(Protocol):
         """Field name in `Measurements` and in the records of `hil.estimator.kernel_layout`."""
 
     @property
-    def BENT(self) -> bool:
+    def NONLINEAR(self) -> bool:
         """Whether the model is so nonlinear that the unscented filter draws sigma points for it."""
 
     @property
@@ -163,7 +163,7 @@ class Sensor(Protocol):
         `nu` (8,) is measured minus predicted; a diagnostic is taken from it.
         """
 
-    def let_in(self, limit: float, t_ns: float, p: Array, m: Any, par: Any) -> bool:
+    def reanchor(self, limit: float, t_ns: float, p: Array, m: Any, par: Any) -> bool:
         """Raise the state's variance after `limit` consecutive rejected samples; no sensor stays locked out.
 
         Returns:

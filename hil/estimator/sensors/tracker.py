@@ -13,7 +13,7 @@ import numpy as np
 from hil.config.estimator import EstimatorConfig
 from hil.core.geometry import Array
 from hil.core.named_records import Record
-from hil.estimator.sensors.pose_sensor import POSE_ROWS, PoseRow, pack_pose, read, shake
+from hil.estimator.sensors.pose_sensor import POSE_ROWS, PoseRow, inflate_pose_variance, pack_pose, read
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     NEW_FRAME,
@@ -23,12 +23,12 @@ from hil.estimator.sensors.sensor import (
     account_together,
     is_repeated,
 )
-from hil.estimator.state_vector import ROWS, SIGHT_X
+from hil.estimator.state_vector import CAMERA_X, ROWS
 from hil.robot.kinematics import WheelGeometry
 from hil.support.numba_jit import inner
 
 NAME = "tracker"
-BENT = False
+NONLINEAR = False
 ANGLE_ROW = 2
 GATED_TOGETHER = True
 START = {"t_ns": -1.0, "frame_t_ns": -1.0, "tally.nis_mean": 1.0}
@@ -126,11 +126,11 @@ def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramet
     z, var = np.zeros(ROWS), np.zeros(ROWS)
     weigh(row, par, z, var)
     for i in range(POSE_ROWS):
-        x[SIGHT_X + i] = z[i]
-        p[SIGHT_X + i, :] = 0.0
-        p[:, SIGHT_X + i] = 0.0
+        x[CAMERA_X + i] = z[i]
+        p[CAMERA_X + i, :] = 0.0
+        p[:, CAMERA_X + i] = 0.0
     for i in range(POSE_ROWS):
-        p[SIGHT_X + i, SIGHT_X + i] = var[i]
+        p[CAMERA_X + i, CAMERA_X + i] = var[i]
     m.frame_t_ns = t_ns
 
 
@@ -164,14 +164,14 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     """Predicted pose in the camera's frame."""
     for i in range(POSE_ROWS):
-        out[i] = x[SIGHT_X + i]
+        out[i] = x[CAMERA_X + i]
 
 
 @inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
     """Derivative of `predicted` by the state."""
     for i in range(POSE_ROWS):
-        h[i, SIGHT_X + i] = 1.0
+        h[i, CAMERA_X + i] = 1.0
 
 
 @inner
@@ -182,7 +182,7 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
 
 
 @inner
-def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
+def reanchor(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """Request a new frame after too many rejections, or when a baseline has ended.
 
     After rejections the wall pose gets the variance of the last innovation, since the new frame discards it.
@@ -190,7 +190,7 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
     if m.tally.in_row >= limit:
         m.tally.reanchored += 1.0
         m.tally.in_row = 0.0
-        shake(p, m.innovation_m**2, m.innovation_rad**2)
+        inflate_pose_variance(p, m.innovation_m**2, m.innovation_rad**2)
         return True
     return par.baseline_s > 0.0 and (t_ns - m.frame_t_ns) * 1e-9 >= par.baseline_s
 
@@ -208,6 +208,6 @@ def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Arra
     if m.frame_t_ns != t_ns:
         return
     for i in range(POSE_ROWS):
-        late[SIGHT_X + i] = 0.0
-        spread[SIGHT_X + i, :] = 0.0
-        spread[:, SIGHT_X + i] = 0.0
+        late[CAMERA_X + i] = 0.0
+        spread[CAMERA_X + i, :] = 0.0
+        spread[:, CAMERA_X + i] = 0.0

@@ -50,7 +50,7 @@ from hil.robot.kinematics import WheelGeometry, forward_matrix, projection
 from hil.support.numba_jit import inner
 
 NAME = "wheels"
-BENT = True
+NONLINEAR = True
 ANGLE_ROW = -1
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
@@ -397,7 +397,7 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
 
 
 @inner
-def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
+def reanchor(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """Raise the variance of the twist after too many rejections in a row."""
     if m.tally.in_row < limit:
         return False

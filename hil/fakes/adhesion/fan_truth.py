@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.fakes.initial_support import Start
+from hil.fakes.initial_support import InitialSupport
 
 StatusMessage = Annotated[int, Within(1, 6, "a VESC has status messages 1 to 6")]
 Rate = Annotated[float, Within(0.0, 1000.0, "messages per second")]
@@ -37,7 +37,7 @@ class AdhesionTruthOptions:
         highest_a: largest current of the motor.
     """
 
-    start: Start = "by use"
+    start: InitialSupport = "by use"
     timeout_s: float = 1.0
     rate_1_hz: Rate = 50.0
     rate_2_hz: Rate = 5.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hil.fakes.initial_support import Start, Tether
+from hil.fakes.initial_support import InitialSupport, Tether
 
 
 class Load:
@@ -30,7 +30,7 @@ class Load:
         """Force of each motor at the working point by the ratings."""
         return self._working_n / (self.gain * len(self._forces_n))
 
-    def begin(self, start: Start) -> None:
+    def begin(self, start: InitialSupport) -> None:
         """Set how the robot is held when the world starts."""
         self._tether = Tether(start, self._working_n)
 

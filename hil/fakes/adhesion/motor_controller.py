@@ -21,7 +21,7 @@ from hil.fakes.body_interface import HoldingForces
 from hil.fakes.can_channel import WIRE_FAULTS, CanChannel, CanFrame
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, STRIKES, Supported
-from hil.fakes.initial_support import Start
+from hil.fakes.initial_support import InitialSupport
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class MotorNode(Scheduled):
         self.begin("tethered" if options.start == "by use" else options.start)
         world.add(self)
 
-    def begin(self, start: Start) -> None:
+    def begin(self, start: InitialSupport) -> None:
         """Set how the robot is held when the world starts; `running` starts at the working point."""
         self._load.begin(start)
         if start == "running":
@@ -158,7 +158,7 @@ class MotorNode(Scheduled):
         fault = self._faults.find("adhesion_loss", t_ns)
         if fault is None:
             return 1.0
-        return fault.faded(t_ns, fault.option("factor", 0.0), fault.option("over_s", 0.0))
+        return fault.remaining_share(t_ns, fault.option("factor", 0.0), fault.option("over_s", 0.0))
 
     def _press(self) -> None:
         self._load.set(self._motor, self.fan.force_n)
@@ -168,9 +168,9 @@ class MotorNode(Scheduled):
         was_dead, self._dead = self._dead, any(self._faults.find(k, t_ns) for k in ("off", "brownout"))
         if self._dead:
             self.fan.demand = Demand()
-        elif was_dead or self._faults.news("reset", t_ns):
+        elif was_dead or self._faults.first_activation("reset", t_ns):
             self._booted_ns, self.fan.demand = t_ns + _BOOT_NS, Demand()
-        if (fault := self._faults.news("jump", t_ns)) is not None:
+        if (fault := self._faults.first_activation("jump", t_ns)) is not None:
             self._offset_rpm += fault.option("speed_rpm", JUMP_RPM)
 
     def _asleep(self, t_ns: int) -> bool:
@@ -179,12 +179,12 @@ class MotorNode(Scheduled):
     def _silenced(self, t_ns: int) -> bool:
         """Return whether status messages are suppressed at this time."""
         fault = self._faults.find("intermittent", t_ns)
-        return self._asleep(t_ns) or (fault is not None and fault.interrupts(t_ns))
+        return self._asleep(t_ns) or (fault is not None and fault.silences(t_ns))
 
     def _next_report(self, rate: int, t_ns: int) -> None:
         """Schedule the next status messages of one of the two rates."""
         slow = self._faults.find("slow", t_ns)
-        self._due_ns[rate] += round(self._periods_ns[rate] * (1.0 if slow is None else slow.slowness))
+        self._due_ns[rate] += round(self._periods_ns[rate] * (1.0 if slow is None else slow.period_factor))
 
     @abstractmethod
     def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:

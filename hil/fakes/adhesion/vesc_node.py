@@ -136,7 +136,7 @@ class VescNode(MotorNode):
         if find("garbage", t_ns) is not None:
             data = self._rng.bytes(len(data))
         corrupt = find("corrupt", t_ns)
-        if corrupt is not None and corrupt.strikes(self._rng):
+        if corrupt is not None and corrupt.hits(self._rng):
             bit = int(self._rng.integers(8 * len(data)))
             spoilt = bytearray(data)
             spoilt[bit // 8] ^= 1 << bit % 8

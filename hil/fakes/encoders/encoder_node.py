@@ -147,7 +147,7 @@ class EncoderNode(Scheduled):
         slow = self._plan.find(self.name, "slow", t_ns) if faulty else None
         period_ns = self._period_ns
         if slow is not None:
-            period_ns = round(period_ns * slow.slowness)
+            period_ns = round(period_ns * slow.period_factor)
         grid_ns, late = self._grid_ns + period_ns, abs(self._late[row])
         self._grid_ns = grid_ns = grid_ns if grid_ns > t_ns else t_ns
         due_ns = grid_ns + round((late if late < 3.0 else 3.0) * self._jitter_ns)
@@ -206,13 +206,13 @@ class EncoderNode(Scheduled):
         was_dead, self._dead = self._dead, any(find(self.name, k, t_ns) for k in ("off", "brownout"))
         if was_dead and not self._dead:
             self.reset(t_ns)
-        reset = self._once.news("reset", find(self.name, "reset", t_ns))
+        reset = self._once.first_activation("reset", find(self.name, "reset", t_ns))
         if reset is not None:
             self.reset(reset.start_ns)
         if self._dead or t_ns < self._boot_ns:
             return True
         fault = find(self.name, "intermittent", t_ns)
-        return fault is not None and fault.interrupts(t_ns)
+        return fault is not None and fault.silences(t_ns)
 
     def _spoil(self, axis: int, word: int, t_ns: int) -> int:
         """Apply the faults of an axis and of the whole device to the word of that axis.
@@ -242,9 +242,9 @@ class EncoderNode(Scheduled):
             return with_parity(word | flags & 0x1E) if flags else int(self._rng.integers(0, 1 << 18))
         if kind == "wrong":
             return _turned(word, fault.option("offset_rad", _SLIP_RAD))
-        if kind == "corrupt" and fault.strikes(self._rng):
+        if kind == "corrupt" and fault.hits(self._rng):
             return word ^ 1 << int(self._rng.integers(0, 18))
-        if kind == "jump" and self._once.news((name, kind), fault) is not None:
+        if kind == "jump" and self._once.first_activation((name, kind), fault) is not None:
             self._chips[axis * CHIP_SIZE + OFFSET] += fault.option("angle_rad", _SLIP_RAD)
         return word
 

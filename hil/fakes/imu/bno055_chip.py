@@ -115,7 +115,9 @@ class Bno055Chip(SerialChip, Scheduled):
         """Measure, and write one set of outputs to the data registers."""
         mode, sensors = self._mode, self.sensors
         faults = None if self._faults.plan.empty else self._faults
-        period_ns = round(1e9 / mode.rate_hz * self._stretch * (faults.slowness(t_ns) if faults else 1.0))
+        period_ns = round(
+            1e9 / mode.rate_hz * self._stretch * (faults.period_factor(t_ns) if faults else 1.0)
+        )
         self._due_ns = t_ns + period_ns
         if faults is not None:
             if self._power(t_ns):

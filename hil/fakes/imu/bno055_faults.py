@@ -47,12 +47,12 @@ class InertialFaults(DeviceFaults):
         self.dead = any(self.find(kind, t_ns) for kind in ("off", "brownout"))
         if was_dead and not self.dead:
             return t_ns
-        fault = self.news("reset", t_ns)
+        fault = self.first_activation("reset", t_ns)
         return None if fault is None else fault.start_ns
 
     def jump_rad(self, t_ns: int) -> float:
         """Heading step of a `jump` fault that has just begun, once per fault; else 0."""
-        fault = self.news("jump", t_ns)
+        fault = self.first_activation("jump", t_ns)
         return 0.0 if fault is None else fault.option("angle_rad", _JUMP_RAD)
 
     def wrong_rate_rad_s(self, t_ns: int) -> float:
@@ -112,7 +112,7 @@ class ImuFaults(InertialFaults):
         if self.find("garbage", t_ns) is not None:
             return self._rng.bytes(len(answer))
         fault = self.find("intermittent", t_ns)
-        if fault is None or not fault.interrupts(t_ns):
+        if fault is None or not fault.silences(t_ns):
             return answer
         code = int(fault.option("code", 0))
         return bno055_uart.status(code) if code else b""

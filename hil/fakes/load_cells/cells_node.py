@@ -60,7 +60,7 @@ class CellNode(Scheduled):
     def on_due(self, t_ns: int) -> None:
         """Convert the forces and send them."""
         slow = self._cells.faults.find("slow", t_ns)
-        self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.slowness))
+        self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.period_factor))
         if self._cells.silent(t_ns):
             self._sequence = 0
             return
@@ -106,7 +106,7 @@ class CellLine(SerialChip):
     def poll(self, t_ns: int) -> list[Reply]:
         """Send one line of counts."""
         slow = self._cells.faults.find("slow", t_ns)
-        self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.slowness))
+        self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.period_factor))
         if self._cells.silent(t_ns):
             self._sequence = 0
             return []

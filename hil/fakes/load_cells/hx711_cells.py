@@ -88,10 +88,10 @@ class Cells:
         if self.faults.none:
             return False
         was_dead, self._dead = self._dead, any(self.faults.find(k, t_ns) for k in ("off", "brownout"))
-        if (was_dead and not self._dead) or self.faults.news("reset", t_ns):
+        if (was_dead and not self._dead) or self.faults.first_activation("reset", t_ns):
             self.booted_ns = t_ns + _BOOT_NS
         fault = self.faults.find("intermittent", t_ns)
-        return self._dead or t_ns < self.booted_ns or (fault is not None and fault.interrupts(t_ns))
+        return self._dead or t_ns < self.booted_ns or (fault is not None and fault.silences(t_ns))
 
     def counts(self, t_ns: int) -> tuple[int, ...]:
         """Return the counts of one conversion of both cells."""
@@ -121,7 +121,7 @@ class Cells:
             factor = 1.0 if "drift_n_s" in wrong.options else wrong.option("factor", _WRONG)
             drift_n = wrong.option("drift_n_s", 0.0) * (t_ns - wrong.start_ns) / NS_PER_S
             seen = [factor * force_n + 0.5 * drift_n for force_n in seen]
-        if (jump := self.faults.news("jump", t_ns)) is not None:
+        if (jump := self.faults.first_activation("jump", t_ns)) is not None:
             self._jumped_n += jump.option("force_n", _JUMP_N)
         return [force_n + 0.5 * self._jumped_n for force_n in seen]
 
@@ -133,6 +133,6 @@ class Cells:
         if self.faults.find("garbage", t_ns) is not None:
             counts = tuple(int(v) for v in self._rng.integers(-COUNTS, COUNTS, 2))
         corrupt = self.faults.find("corrupt", t_ns)
-        if corrupt is not None and corrupt.strikes(self._rng):
+        if corrupt is not None and corrupt.hits(self._rng):
             counts = (counts[0] ^ 1 << int(self._rng.integers(0, 23)), counts[1])
         return counts

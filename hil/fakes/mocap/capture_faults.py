@@ -52,12 +52,12 @@ class MocapFaults(DeviceFaults):
     def silent(self, t_ns: int) -> bool:
         """Return whether this frame is not sent."""
         fault = self.find("intermittent", t_ns)
-        return fault is not None and not fault.option("occlude", 0.0) and fault.interrupts(t_ns)
+        return fault is not None and not fault.option("occlude", 0.0) and fault.silences(t_ns)
 
     def hidden(self, t_ns: int) -> bool:
         """Return whether the robot's body is hidden."""
         fault = self.find("intermittent", t_ns)
-        return fault is not None and bool(fault.option("occlude", 0.0)) and fault.interrupts(t_ns)
+        return fault is not None and bool(fault.option("occlude", 0.0)) and fault.silences(t_ns)
 
     def distort(self, bodies: Bodies, t_ns: int) -> Bodies:
         """Apply `jump`, `wrong`, `garbage` and `stuck` to the measured bodies."""

@@ -18,7 +18,7 @@ from hil.fakes.mocap import natnet_encoding
 from hil.fakes.mocap.camera_view import CaptureVolume, SeenBody
 from hil.fakes.mocap.capture_faults import SUPPORTED_FAULTS, MocapFaults
 from hil.fakes.mocap.capture_truth import MocapTruthOptions
-from hil.fakes.mocap.virtual_network import Address, Outlet, WorldNetwork, WorldPort
+from hil.fakes.mocap.virtual_network import Address, PacketNetwork, WorldNetwork, WorldPort
 from hil.fakes.world import Scheduled, World
 
 __all__ = ["SUPPORTED_FAULTS", "NatNetServer"]
@@ -45,7 +45,7 @@ class Client:
             only if it is known that the client does not listen to the group.
     """
 
-    outlet: Outlet
+    outlet: PacketNetwork
     version: tuple[int, int]
     heard_ns: int
     by_unicast: bool
@@ -122,7 +122,7 @@ class NatNetServer(Scheduled):
         self._receive_ticks = round(_RECEIVED_SHARE * self._latency_ticks)
         self._frames = natnet_encoding.Frames()
         self._network = WorldNetwork(self, world)
-        self._outlets: list[Outlet] = [self._network]
+        self._outlets: list[PacketNetwork] = [self._network]
         self.offered_group: str | None = None
         self._clients: dict[Address, Client] = {}
         self._arrived_ns = 0
@@ -140,11 +140,11 @@ class NatNetServer(Scheduled):
         """Open a datagram port on the server's network in this process; the driver's `datagrams` factory."""
         return self._network.open(group, port)
 
-    def attach(self, outlet: Outlet) -> None:
+    def attach(self, outlet: PacketNetwork) -> None:
         """Add a network to which multicast frames are sent."""
         self._outlets.append(outlet)
 
-    def detach(self, outlet: Outlet) -> None:
+    def detach(self, outlet: PacketNetwork) -> None:
         """Remove a network and its clients."""
         self._outlets = [o for o in self._outlets if o is not outlet]
         self._clients = {a: c for a, c in self._clients.items() if c.outlet is not outlet}
@@ -161,8 +161,8 @@ class NatNetServer(Scheduled):
             self._start(t_ns)
             self._due_ns = t_ns + _BOOT_NS
             return
-        slowness = 1.0 if faults is None else faults.slowness(t_ns)
-        self._due_ns = t_ns + round(NS_PER_S / options.rate_hz / self._stretch * slowness)
+        period_factor = 1.0 if faults is None else faults.period_factor(t_ns)
+        self._due_ns = t_ns + round(NS_PER_S / options.rate_hz / self._stretch * period_factor)
         self._number += 1
         hidden = faults is not None and faults.hidden(t_ns)
         seen = self._volume.see(self._world.plant.body(), t_ns, hidden)
@@ -175,7 +175,7 @@ class NatNetServer(Scheduled):
         ready_ns = t_ns + nanoseconds(late_s + self._stall_s())
         self._stream(ready_ns if ready_ns > self._arrived_ns else self._arrived_ns, t_ns)
 
-    def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
+    def receive(self, data: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> None:
         """Answer one request."""
         if self._faults.cut_off(t_ns) or t_ns < self._boot_ns:
             return
@@ -231,7 +231,9 @@ class NatNetServer(Scheduled):
             packets[version] = self._frames.frame(*self._last, version)
         return packets[version]
 
-    def _send(self, packet: bytes, destination: Address, outlet: Outlet, ready_ns: int, t_ns: int) -> None:
+    def _send(
+        self, packet: bytes, destination: Address, outlet: PacketNetwork, ready_ns: int, t_ns: int
+    ) -> None:
         faults = self._faults
         if faults.plan.empty:
             outlet.deliver(ready_ns, packet, destination)
@@ -239,7 +241,7 @@ class NatNetServer(Scheduled):
             for data in faults.spoil(packet, t_ns):
                 outlet.deliver(ready_ns + faults.lateness_ns(t_ns), data, destination)
 
-    def _answer(self, kind: int, payload: bytes, client: Address, outlet: Outlet, t_ns: int) -> bytes:
+    def _answer(self, kind: int, payload: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> bytes:
         known = self._clients.get(client)
         if kind in (natnet_encoding.CONNECT, natnet_encoding.KEEPALIVE):
             if self.multicast is None:
@@ -259,7 +261,9 @@ class NatNetServer(Scheduled):
             return self._command(payload.split(b"\0")[0].decode("utf-8", "replace"), known)
         return natnet_encoding.message(natnet_encoding.UNRECOGNISED)
 
-    def _updated(self, kind: int, payload: bytes, known: Client | None, outlet: Outlet, t_ns: int) -> Client:
+    def _updated(
+        self, kind: int, payload: bytes, known: Client | None, outlet: PacketNetwork, t_ns: int
+    ) -> Client:
         """Return the client after its request; only unicast clients send keep-alives."""
         group, version = self.offered_group, self._version if known is None else known.version
         requested = tuple(payload[_BITSTREAM])

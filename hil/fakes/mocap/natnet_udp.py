@@ -13,7 +13,7 @@ from pathlib import Path
 from hil.core.errors import DeviceError, reason_of
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.mocap.motive_server import NatNetServer
-from hil.fakes.mocap.virtual_network import Address, Outlet
+from hil.fakes.mocap.virtual_network import Address, PacketNetwork
 from hil.fakes.udp_server import DatagramTransport
 from hil.fakes.world import NEVER_NS
 from hil.support.port_users import ending, named, programs_with_udp
@@ -43,7 +43,7 @@ def _cannot_serve(device: str, host: str, port: int, error: OSError) -> DeviceEr
     )
 
 
-class NatNetTransport(DatagramTransport, Outlet):
+class NatNetTransport(DatagramTransport, PacketNetwork):
     """One server on one UDP socket.
 
     Args:

@@ -26,7 +26,7 @@ class Arrival(NamedTuple):
     arrived_ns: int
 
 
-class Outlet(Protocol):
+class PacketNetwork(Protocol):
     """A network that carries packets of the server."""
 
     @abstractmethod
@@ -44,7 +44,7 @@ class Served(Protocol):
     command_port: int
 
     @abstractmethod
-    def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
+    def receive(self, data: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> None:
         """Handle one request of `client`, received on `outlet`."""
 
 
@@ -72,7 +72,7 @@ class WorldPort:
         self._network.forget(self)
 
 
-class WorldNetwork(Outlet):
+class WorldNetwork(PacketNetwork):
     """Network between one client host and one server.
 
     Args:

@@ -21,7 +21,7 @@ from hil.core.errors import ConfigError, did_you_mean
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.fakes.plant.parameters import TrueParameters
-from hil.support.extras import how_to_install, lacks
+from hil.support.extras import how_to_install, why_unusable
 
 _PART = 0.01
 _ROLL_SHARE = 0.6
@@ -96,7 +96,7 @@ JOINTS = (*(f"drive_{w}" for w in WHEELS), *(f"steer_{w}" for w in WHEELS))
 
 def load_mujoco() -> Any:
     """Import MuJoCo; raises `ConfigError` with the command that installs it, or with the import's error."""
-    why = lacks("mujoco")
+    why = why_unusable("mujoco")
     if why:
         raise ConfigError(
             f"emulation.plant = 'mujoco' needs the extra mujoco: {why}", remedy=how_to_install("mujoco")
@@ -177,10 +177,10 @@ def _check(mj: Any, spec: Any, source: str) -> None:
         problems.append(
             f"option timestep = {step:g} s is unstable with servos; expected {LONGEST_STEP_S:g} or less"
         )
-    refuse(source, problems)
+    raise_if_any(source, problems)
 
 
-def refuse(source: str, problems: list[str]) -> None:
+def raise_if_any(source: str, problems: list[str]) -> None:
     """Raise `ConfigError` if there are problems."""
     if problems:
         raise ConfigError(f"emulation.mjcf = {source}: {len(problems)} problem(s)", problems=tuple(problems))

@@ -23,15 +23,23 @@ from hil.fakes.mujoco_plant.contact import (
     TIME_CONSTANT_S,
     ContactSetting,
 )
-from hil.fakes.mujoco_plant.mjcf import JOINTS, compiled, load_mujoco, named, read_robot, refuse, wheel_geoms
+from hil.fakes.mujoco_plant.mjcf import (
+    JOINTS,
+    compiled,
+    load_mujoco,
+    named,
+    raise_if_any,
+    read_robot,
+    wheel_geoms,
+)
 from hil.fakes.mujoco_plant.named_numbers import PLACES
 from hil.fakes.mujoco_plant.wheels import (
     at_zero,
     look_at_wheel,
+    mismatches,
     name_wheels,
     not_finite,
     put_on_ellipsoids,
-    unlike,
 )
 from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.robot import GRAVITY_M_S2
@@ -108,10 +116,10 @@ def _tyres(mj: Any, spec: Any, robot: RobotConfig | None, source: str) -> list[A
     """Return the four rolling geoms, after checking that the robot fits the bench."""
     name_wheels(spec)
     model = compiled(spec, source)
-    refuse(source, not_finite(model))
+    raise_if_any(source, not_finite(model))
     geoms = [int(model.geom(wheel_geoms(spec.joint(f"drive_{w}"))[0].name).id) for w in WHEELS]
     if robot is not None:
-        refuse(source, unlike(mj, model, geoms, robot))
+        raise_if_any(source, mismatches(mj, model, geoms, robot))
     return put_on_ellipsoids(mj, spec, model)
 
 

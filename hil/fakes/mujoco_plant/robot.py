@@ -182,7 +182,7 @@ class MujocoRobot(SteppedBody):
         self._blow(adhesion_factor)
         for done in range(n):
             ratio = prepare(*prepared)
-            if ratio == mk.LOOK:
+            if ratio == mk.CHECK_STATE:
                 ratio = self._stumbled(done)
             option.impratio = ratio
             step(model, data)

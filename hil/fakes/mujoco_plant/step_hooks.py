@@ -26,7 +26,7 @@ SLIDING_M_S = 0.02
 _LIFTED_M, _TIPPED_COSINE = 0.01, math.cos(math.radians(2.0))
 """Limits of height and tilt: two wheels are then 8 mm off the surface, and the fan blows into the gap."""
 _FAST, _FAR = 1e3, 1e4
-LOOK = -1.0
+CHECK_STATE = -1.0
 """Returned instead of a ratio: the robot has begun to fall, or the simulation has diverged."""
 
 
@@ -45,7 +45,7 @@ def prepare(
         friction: (4, 5) of the four contact pairs; written.
 
     Returns:
-        MuJoCo's `impratio` for the step, or `LOOK`.
+        MuJoCo's `impratio` for the step, or `CHECK_STATE`.
     """
     robot = robots[0]
     c, s, q, p, a = robot.constants, robot.state, robot.commands, robot.settled, robot.places
@@ -73,7 +73,7 @@ def prepare(
     if qpos[2] > p.height + _LIFTED_M or cosine < _TIPPED_COSINE:
         s.fallen = 1.0
     if s.fallen != fallen or (fallen == 0.0 and not is_sound(qpos, qvel)):
-        return LOOK
+        return CHECK_STATE
     ratio: float = p.ratio if p.ratio_speed == 0.0 else p.ratio_speed / max(speed, p.slowest)
     return ratio
 

@@ -131,7 +131,7 @@ def not_finite(model: Any) -> list[str]:
     ]
 
 
-def unlike(mj: Any, model: Any, geoms: list[int], robot: RobotConfig) -> list[str]:
+def mismatches(mj: Any, model: Any, geoms: list[int], robot: RobotConfig) -> list[str]:
     """Describe everything in which a compiled robot does not fit the bench: joint axes, wheels, mass."""
     data, body = at_zero(mj, model), int(model.jnt_bodyid[0])
     if abs(float(data.qpos[3])) < math.cos(0.5 * math.radians(0.1)):

@@ -170,7 +170,9 @@ class SteppedBody(Plant):
         fault = self._faults.find("plant", "adhesion_loss", step * self._step_ns)
         if fault is None:
             return 1.0
-        return fault.faded(step * self._step_ns, fault.option("factor", 0.0), fault.option("over_s", 0.0))
+        return fault.remaining_share(
+            step * self._step_ns, fault.option("factor", 0.0), fault.option("over_s", 0.0)
+        )
 
     def joints(self) -> tuple[Array, Array, Array]:
         """Read-only views of position (8,), velocity (8,) and current (8,)."""

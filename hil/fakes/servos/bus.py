@@ -158,7 +158,7 @@ class ServoBus(SerialChip, Scheduled):
         replies = []
         for servo in [s for s in listeners if s.answers_to(instruction.servo_id)]:
             addressed_id = servo.id
-            answer = self._single.obey(servo, instruction, t_ns)
+            answer = self._single.execute(servo, instruction, t_ns)
             if answer is None:
                 continue
             if instruction.servo_id == addressed_id and servo.answers(level):

@@ -95,7 +95,7 @@ class ServoFaults:
 
     def due_once(self, joint: int, kind: str, t_ns: int) -> Fault | None:
         """Return an active one-time fault (`reset`, `jump`) at its first query, else None."""
-        return self._once.news((joint, kind), self.find(joint, kind, t_ns))
+        return self._once.first_activation((joint, kind), self.find(joint, kind, t_ns))
 
     def jump_counts(self, joint: int, t_ns: int) -> int:
         """Slip of the encoder by a `jump` fault at its first query, counts; else 0."""
@@ -149,17 +149,17 @@ class ServoFaults:
     def silent(self, joint: int, t_ns: int) -> bool:
         """Return whether this reply is suppressed."""
         fault = self.find(joint, "intermittent", t_ns)
-        if fault is not None and fault.interrupts(t_ns):
+        if fault is not None and fault.silences(t_ns):
             return True
         fault = self.find(joint, "drop", t_ns)
-        return fault is not None and fault.strikes(self._rng)
+        return fault is not None and fault.hits(self._rng)
 
     def spoil(self, joint: int, reply: bytes, t_ns: int) -> bytes:
         """Apply `garbage` and `corrupt` faults to a reply."""
         if self.find(joint, "garbage", t_ns) is not None:
             return self._rng.bytes(len(reply))
         fault = self.find(joint, "corrupt", t_ns)
-        if fault is None or not fault.strikes(self._rng):
+        if fault is None or not fault.hits(self._rng):
             return reply
         place = int(self._rng.integers(len(reply)))
         return reply[:place] + bytes((reply[place] ^ 1 << int(self._rng.integers(8)),)) + reply[place + 1 :]

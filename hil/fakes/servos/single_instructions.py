@@ -38,7 +38,7 @@ class SingleInstructions:
             protocol.FACTORY_RESET: self._check_factory_reset,
         }
 
-    def obey(self, servo: Servo, instruction: Instruction, t_ns: int) -> Answer | None:
+    def execute(self, servo: Servo, instruction: Instruction, t_ns: int) -> Answer | None:
         """Execute an instruction; None if it is ignored without a reply."""
         act = self._known.get(instruction.code)
         return (protocol.INSTRUCTION_ERROR, b"") if act is None else act(servo, instruction, t_ns)

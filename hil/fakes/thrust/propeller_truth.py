@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.fakes.initial_support import Start
+from hil.fakes.initial_support import InitialSupport
 
 
 @dataclass(frozen=True)
@@ -18,5 +18,5 @@ class ThrustTruthOptions:
         lag_s: time constant of the force.
     """
 
-    start: Start = "by use"
+    start: InitialSupport = "by use"
     lag_s: Annotated[float, Within(0.001, 10.0, "s")] = 0.1

@@ -16,7 +16,7 @@ from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, Supported
-from hil.fakes.initial_support import Start, Tether
+from hil.fakes.initial_support import InitialSupport, Tether
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.world import World
@@ -82,7 +82,7 @@ class TeensyChip(SerialChip):
         self._tick_ns = _TICK_NS
         self.begin("tethered" if options.start == "by use" else options.start)
 
-    def begin(self, start: Start) -> None:
+    def begin(self, start: InitialSupport) -> None:
         """Set how the robot is held when the world starts."""
         self._tether = Tether(start, self._point.thrust_n)
         if start == "running":
@@ -100,7 +100,7 @@ class TeensyChip(SerialChip):
         """Parse lines; at another baud rate they are invalid."""
         self._advance(t_ns)
         fault = self._faults.find("intermittent", t_ns)
-        if self._dead or (fault is not None and fault.interrupts(t_ns)):
+        if self._dead or (fault is not None and fault.silences(t_ns)):
             return []
         noise = self._faults.find("garbage", t_ns) is not None or abs(baud / self._config.baud - 1.0) > 0.03
         for byte in data:
@@ -163,15 +163,15 @@ class TeensyChip(SerialChip):
         if not self._faults.none:
             self._power(t_ns)
         slow = self._faults.find("slow", t_ns)
-        lag_s = self._options.lag_s * (1.0 if slow is None else slow.slowness)
+        lag_s = self._options.lag_s * (1.0 if slow is None else slow.period_factor)
         aim_n = self._aim_n(t_ns)
         self.force_n = aim_n + (self.force_n - aim_n) * math.exp(-dt_s / lag_s)
 
     def _power(self, t_ns: int) -> None:
         was_dead, self._dead = self._dead, any(self._faults.find(k, t_ns) for k in ("off", "brownout"))
-        if (self._dead and not was_dead) or self._faults.news("reset", t_ns):
+        if (self._dead and not was_dead) or self._faults.first_activation("reset", t_ns):
             self.reset(t_ns)
-        if (fault := self._faults.news("jump", t_ns)) is not None:
+        if (fault := self._faults.first_activation("jump", t_ns)) is not None:
             self.step = min(max(self.step + round(fault.option("steps", -20)), 0), STEPS)
 
     def _aim_n(self, t_ns: int) -> float:

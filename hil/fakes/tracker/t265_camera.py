@@ -169,8 +169,8 @@ class T265(Scheduled):
         if faults is not None and faults.restarted(t_ns):
             self._restart(t_ns)
             return
-        slowness = 1.0 if faults is None else faults.slowness(t_ns)
-        self._exposure_ns = t_ns + round(self._period_ns * slowness)
+        period_factor = 1.0 if faults is None else faults.period_factor(t_ns)
+        self._exposure_ns = t_ns + round(self._period_ns * period_factor)
         number, self._number = self._number, self._number + 1
         body = self._world.plant.body()
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns

@@ -53,11 +53,11 @@ class TrackerFaults(DeviceFaults):
         if self._off:
             return True
         fault = self.find("intermittent", t_ns)
-        return fault is not None and fault.interrupts(t_ns)
+        return fault is not None and fault.silences(t_ns)
 
     def jump_m(self, t_ns: int) -> float:
         """Distance of a `jump` fault at its first query; else 0."""
-        fault = self.news("jump", t_ns)
+        fault = self.first_activation("jump", t_ns)
         return 0.0 if fault is None else fault.option("distance_m", _JUMP_M)
 
     def scale(self, t_ns: int) -> float:

@@ -47,7 +47,7 @@ _BLOCK = 512
 _NEAR_VERTICAL = 0.2
 
 
-class Way(NamedTuple):
+class CameraMotion(NamedTuple):
     """Motion of the camera since the last pose, in the wall's axes.
 
     Attributes:
@@ -76,13 +76,13 @@ class Way(NamedTuple):
 
 
 @kernel
-def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: Array) -> Pose:
+def step(way: CameraMotion, draws: Array, row: int, errors: Array, world: Array, state: Array) -> Pose:
     """Advance the odometry by one step and return the pose that it reports.
 
     The step is scaled, rotated by the heading error, and gets a random walk; wheel odometry corrects it.
 
     Args:
-        way: motion of the camera since the last pose, as a `Way` or a plain tuple.
+        way: motion of the camera since the last pose, as a `CameraMotion` or a plain tuple.
         draws: standard normal noise (n, 16).
         row: row of `draws` to use.
         errors: (7,) error parameters.
@@ -92,7 +92,7 @@ def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: A
     Returns:
         position (3,), velocity (3,), rotation x y z w, angular velocity (3,) in the T265's axes.
     """
-    way = Way(*way)
+    way = CameraMotion(*way)
     noise, dt, scale = draws[row], way.dt, way.scale
     along, left, omega = way.along, way.left, way.omega
     root = math.sqrt(dt)
@@ -219,7 +219,7 @@ class VisualOdometry:
         )
         self._world, self._state = np.zeros(WORLD_SIZE), np.zeros(STATE_SIZE)
         self._draws, self._row = np.zeros((1, DRAWS)), 0
-        compile_for(step, plain(Way()), self._draws, 0, self._errors, self._world, self._state)
+        compile_for(step, plain(CameraMotion()), self._draws, 0, self._errors, self._world, self._state)
         self._started = False
 
     def restart(self) -> None:
@@ -280,7 +280,7 @@ class VisualOdometry:
         if not self._row:
             self._draws, self._row = self._rng.standard_normal((_BLOCK, DRAWS)), _BLOCK
         self._row -= 1
-        way = Way(
+        way = CameraMotion(
             theta,
             omega,
             wall_x,

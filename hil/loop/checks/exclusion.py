@@ -50,7 +50,7 @@ class Exclusion:
             Event(cycle.inputs.t_ns, "warning", name, f"left out from now on: {doubt.message}")
         )
 
-    def believed(self, measurements: Measurements) -> Measurements:
+    def without_excluded(self, measurements: Measurements) -> Measurements:
         """Measurements without those of excluded devices."""
         if not self._names:
             return measurements

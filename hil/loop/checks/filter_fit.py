@@ -63,7 +63,7 @@ class FilterFit(Check):
         self._misfit, self._largest_m, self._mean = False, 0.0, 1.0
         self._off = (0.0, 0.0)
 
-    def take_off(self) -> tuple[float, float]:
+    def take_inflation(self) -> tuple[float, float]:
         """Estimate error found since the last call (m, rad); resets it."""
         off, self._off = self._off, (0.0, 0.0)
         return off
@@ -72,7 +72,7 @@ class FilterFit(Check):
         """Check for rejected samples, and for the fit of the camera's poses."""
         assert cycle.state is not None
         self.judge(cycle.state, cycle.events)
-        cycle.inflate_next(self.take_off())
+        cycle.inflate_next(self.take_inflation())
 
     def judge(self, state: RobotState, events: list[Event]) -> None:
         """Check one cycle's estimate; adds findings to `events`.

@@ -69,7 +69,7 @@ class MocapEstimate(Check):
         self._off_m = self._widened_m2 = 0.0
         self._known = False
 
-    def take_off(self) -> tuple[float, float]:
+    def take_inflation(self) -> tuple[float, float]:
         """Estimate error found since the last call (m, rad); resets it."""
         off_m, self._off_m = self._off_m, 0.0
         self._widened_m2 += off_m**2
@@ -80,7 +80,7 @@ class MocapEstimate(Check):
         assert cycle.state is not None
         if self.required not in self.excluded:
             self.judge(cycle.state, cycle.events, lambda reason, message: self._stop(cycle, reason, message))
-            cycle.inflate_next(self.take_off())
+            cycle.inflate_next(self.take_inflation())
 
     def _stop(self, cycle: Cycle, reason: str, message: str) -> None:
         cycle.stop(reason, message + self.advice, (*self.accused, *self.holders))

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.core.nonfinite import unsaid_holes
+from hil.core.nonfinite import unmarked_nonfinite_fields
 from hil.core.registry import further, kinds
 from hil.core.signals import Event, Inputs, Status, samples_of, worst
 from hil.loop.cycle_data import Check, Cycle
@@ -100,7 +100,7 @@ class SensorStatus(Check):
     def _search(self, name: str, samples: Sequence[Any], t_ns: int, events: list[Event]) -> None:
         """Report each field with NaN or infinity and a good status once."""
         for sample in samples:
-            for field in unsaid_holes(kinds()[name], sample, self._brought[name]):
+            for field in unmarked_nonfinite_fields(kinds()[name], sample, self._brought[name]):
                 if (name, field) not in self._holes:
                     self._holes.add((name, field))
                     said = f"NaN or infinity in {field} with status ok: fix the driver of its package"

@@ -64,7 +64,7 @@ class WheelSlipCheck(Check):
         self._rolled_m, self._said_m, self._loose_m = [0.0] * 4, [0.0] * 4, 0.0
         self._suspect, self._seen = -1, 0
 
-    def take_off(self) -> tuple[float, float]:
+    def take_inflation(self) -> tuple[float, float]:
         """Estimate error found since the last call (m, rad); resets it."""
         off_m, self._off_m = self._off_m, 0.0
         return off_m, 0.0
@@ -76,7 +76,7 @@ class WheelSlipCheck(Check):
     def on_samples(self, cycle: Cycle) -> None:
         """Compare each wheel with the other three."""
         self.judge(cycle.inputs.t_ns, cycle.measurements.wheels, cycle.events)
-        cycle.inflate_next(self.take_off())
+        cycle.inflate_next(self.take_inflation())
 
     def judge(self, t_ns: int, samples: tuple[WheelMeasurement, ...], events: list[Event]) -> None:
         """Check one cycle's wheels; adds findings to `events`."""

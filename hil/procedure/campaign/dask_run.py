@@ -39,7 +39,7 @@ _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.ti
 """Turn off Dask's profiler: it samples each worker's stack a hundred times a second, for an unused page."""
 
 
-class Strikes:
+class DeferredSignals:
     """Defer the first signal until no Dask call runs; handle a second one at once, as a Dask call may hang.
 
     A signal is passed to its former handler, whose exception ends the work.
@@ -50,7 +50,7 @@ class Strikes:
         self._put_off: list[int] = []
         self._at_once = False
 
-    def __enter__(self) -> Strikes:
+    def __enter__(self) -> DeferredSignals:
         self._former = _handlers()
         for number in self._former:
             signal.signal(number, self._strike)
@@ -66,7 +66,7 @@ class Strikes:
             self._put_off.append(number)
 
     @contextmanager
-    def heard(self) -> Iterator[None]:
+    def delivered(self) -> Iterator[None]:
         """In this block a signal, including a deferred one, is handled at once."""
         self._at_once = True
         try:
@@ -152,7 +152,7 @@ def spread(
         done: called in this process with every result.
         workers: processes on this computer; 0 runs all jobs in this process, without Dask.
         scheduler: address of a Dask scheduler to use instead.
-        parcel: files that cluster workers keep until the end (`remote_workers.luggage`).
+        parcel: files that cluster workers keep until the end (`remote_workers.input_folder`).
 
     Raises:
         UsageError: Dask is not installed, the scheduler does not answer, or a worker has other versions.
@@ -164,7 +164,11 @@ def spread(
             done(_settled(work(job), job, lost))
         return
     check_dask()
-    with _client(min(workers, len(jobs)), scheduler) as client, Strikes() as strikes, ExitStack() as stack:
+    with (
+        _client(min(workers, len(jobs)), scheduler) as client,
+        DeferredSignals() as deferred,
+        ExitStack() as stack,
+    ):
         from distributed import as_completed
 
         if scheduler:
@@ -173,7 +177,7 @@ def spread(
         try:
             ended = as_completed(list(futures))
             while True:
-                with strikes.heard():
+                with deferred.delivered():
                     future = next(ended, None)
                 if future is None:
                     break
@@ -206,13 +210,13 @@ def _left_to_others(client: Client, unable: Unable) -> bool:
 
 def _make_ready(client: Client, scheduler: str, parcel: WorkerFiles | None, stack: ExitStack) -> None:
     """Check that cluster workers have this computer's versions; send them the files until `stack` ends."""
-    from hil.procedure.campaign.remote_workers import carried, check_workers, report_refused
+    from hil.procedure.campaign.remote_workers import check_workers, files_on_workers, report_refused
 
     try:
         check_workers(client, scheduler)
         report_refused(client)
         if parcel is not None:
-            stack.enter_context(carried(client, parcel))
+            stack.enter_context(files_on_workers(client, parcel))
     except OSError as error:
         raise UsageError(f"Dask scheduler {scheduler!r} has gone ({error})") from None
 

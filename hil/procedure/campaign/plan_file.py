@@ -56,7 +56,7 @@ def keep_plan(out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], *
 
 
 @contextmanager
-def alone_in(out: Path, *, resume: bool) -> Iterator[None]:
+def locked_folder(out: Path, *, resume: bool) -> Iterator[None]:
     """Lock a folder against other campaigns, if its file system has locks; create it for a new campaign.
 
     Raises:

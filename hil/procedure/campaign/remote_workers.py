@@ -96,14 +96,14 @@ def _other(process: str, name: str, there: str, here: str) -> UsageError:
 
 
 @contextmanager
-def carried(client: Client, parcel: WorkerFiles) -> Iterator[None]:
+def files_on_workers(client: Client, parcel: WorkerFiles) -> Iterator[None]:
     """Keep the files of a campaign on every worker until the block ends, also by an error.
 
     Raises:
         Aborted: no worker has room for the files; names each worker.
     """
     try:
-        client.register_plugin(Luggage(parcel))
+        client.register_plugin(InputFilesPlugin(parcel))
         _leave_out_full(client, parcel.name)
         yield
     finally:
@@ -136,7 +136,7 @@ def do_without(client: Client, worker: str, why: str) -> bool:
     return True
 
 
-class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
+class InputFilesPlugin(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
     """Unpacks the files of a campaign into a folder of every worker, also of a worker that joins later."""
 
     def __init__(self, parcel: WorkerFiles) -> None:
@@ -166,7 +166,7 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
         shutil.rmtree(Path(worker.local_directory) / self.name, ignore_errors=True)
 
 
-def luggage(name: str) -> Path:
+def input_folder(name: str) -> Path:
     """Return the folder in which the calling worker keeps the files of a campaign."""
     return Path(get_worker().local_directory) / name
 

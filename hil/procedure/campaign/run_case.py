@@ -145,13 +145,13 @@ class Job:
 
     Attributes:
         folder: results folder.
-        luggage: name of the parcel with the files on a remote worker; empty for a local worker.
+        input_files: name of the parcel with the files on a remote worker; empty for a local worker.
     """
 
     setup: Setup
     case: Case
     folder: str
-    luggage: str = ""
+    input_files: str = ""
 
 
 @dataclass(frozen=True)
@@ -179,16 +179,16 @@ def run_case_elsewhere(job: Job) -> Delivery | Unable:
     """Run one case in a worker without shared files; return `Unable` if its disk is full."""
     from distributed import Reschedule, get_worker
 
-    from hil.procedure.campaign.remote_workers import address, lacking, luggage
+    from hil.procedure.campaign.remote_workers import address, input_folder, lacking
 
     def lost_here(reason: object) -> Delivery | Unable:
         message = f"worker {address()}: {reason}"
         full = any(words in message for words in _FULL)
         return Unable(address(), message) if full else Delivery(lost(job, message))
 
-    here = luggage(job.luggage)
+    here = input_folder(job.input_files)
     if not here.exists():
-        if why := lacking(job.luggage, get_worker()):
+        if why := lacking(job.input_files, get_worker()):
             return Unable(address(), why)
         raise Reschedule  # to another worker: this one has other versions and is leaving
     try:

@@ -40,7 +40,7 @@ def parts_in(record: Path) -> Mapping[str, Part]:
     return robot.read().parts if robot.exists() else {}
 
 
-def rests_on(
+def dependencies_of(
     config: BenchConfig, parts: Mapping[str, Part], left: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return the dependencies of a passed procedure to store, as JSON values.
@@ -57,14 +57,14 @@ def rests_on(
     }
 
 
-def why_again(
+def reason_to_repeat(
     stage: Stage, before: Mapping[str, Any] | None, config: BenchConfig, parts: Mapping[str, Part]
 ) -> str:
     """Return why a passed procedure has to be repeated; empty if none of its dependencies has changed.
 
     Args:
         stage: the passed procedure.
-        before: result of `rests_on` at that time; None if it was not stored.
+        before: result of `dependencies_of` at that time; None if it was not stored.
         config: current configuration of the bench file alone.
         parts: current parts of the record.
     """

@@ -20,7 +20,7 @@ from hil.core.errors import EXIT_ABORTED, Aborted, ConfigError, DataError, HilEr
 from hil.core.result_files import JOURNAL, PASSED, RESULT
 from hil.procedure.bench_fragment import NAME as FRAGMENT
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.commission.reruns import as_its_file_says, parts_in, rests_on, why_again
+from hil.procedure.commission.reruns import as_its_file_says, dependencies_of, parts_in, reason_to_repeat
 from hil.procedure.commission.saved_state import DONE, State, state_of
 from hil.procedure.commission.stages import PROMPTS, STAGES, Place, Stage, placed, stages
 from hil.procedure.commission.stop_reason import page_of, stopped_at, stopped_before
@@ -182,7 +182,7 @@ class _Running:
         if not self._state.passed(stage.name):
             return False
         before = self._state.rests_on.get(stage.name)
-        why = why_again(stage, before, self._as_its_file_says, parts)
+        why = reason_to_repeat(stage, before, self._as_its_file_says, parts)
         found_anew = list(dict.fromkeys((*self._again, *self._ran)))
         if not why and found_anew and stage is self._stages[-1][0]:
             why = f"it shows what was found, and {', '.join(found_anew)} is repeated"
@@ -218,7 +218,7 @@ class _Running:
             facts["why"] = f"repeated: {self._again[stage.name]}"
         if result.verdict.value in PASSED:
             found = parts_in(self._record)
-            facts["rests_on"] = rests_on(self._as_its_file_says, found, result.facts["record"])
+            facts["rests_on"] = dependencies_of(self._as_its_file_says, found, result.facts["record"])
         try:
             self._state.keep(stage.name, **facts, seconds=result.facts["duration_s"])
         except DataError:
@@ -229,7 +229,7 @@ class _Running:
     def _moved_to(self, place: Place) -> None:
         """Ask the operator to move a real robot to the place that the next procedures need."""
         if self._place != place and self._request.source.real:
-            with self._request.interrupts.heeded():
+            with self._request.interrupts.interruptible():
                 go_ahead(self._request.operator, PROMPTS[place])
         self._place = place
 

@@ -24,7 +24,7 @@ class State:
         folder: folder of the commissioning.
         options: bench, seed, form and others; a resumed commissioning must have the same.
         done: by procedure: `verdict`, `folder` (relative), and `why` it was left out or repeated.
-        rests_on: by passed procedure: its dependencies (`reruns.rests_on`).
+        rests_on: by passed procedure: its dependencies (`reruns.dependencies_of`).
     """
 
     folder: Path

@@ -10,9 +10,9 @@ from hil.procedure.faults.cases import (
     PLANTS,
     Cell,
     cells_of,
+    is_tested_itself,
     quick_cells,
     random_cells,
-    stands_for_itself,
 )
 from hil.procedure.faults.drive import run_cell
 from hil.procedure.faults.judge import CellVerdict, lost
@@ -27,13 +27,13 @@ __all__ = [
     "CellVerdict",
     "KeptVerdicts",
     "cells_of",
+    "is_tested_itself",
     "lost",
     "matrix_page",
     "missing",
     "quick_cells",
     "random_cells",
     "run_cell",
-    "stands_for_itself",
     "summary",
     "write_faults",
     "write_page",

@@ -65,7 +65,7 @@ def _cell(device: str, fault: str, moment: str, seed: int, plant: str) -> Cell:
     return Cell(device, fault, moment, seed, plant, (f"{device}:{fault}{MOMENTS[moment]}",))
 
 
-def stands_for_itself(device: str) -> bool:
+def is_tested_itself(device: str) -> bool:
     """Whether a device, by its fault name, is not represented by another servo or encoder."""
     return not _OF_EIGHT.fullmatch(device)
 
@@ -97,7 +97,7 @@ def cells_of(
     wanted = (
         list(_wanted(only, pairs, moments))
         if only
-        else [(d, fault, moment) for d, fault in pairs if stands_for_itself(d) for moment in moments]
+        else [(d, fault, moment) for d, fault in pairs if is_tested_itself(d) for moment in moments]
     )
     return tuple(
         _cell(device, fault, moment, seed, plant)

@@ -17,11 +17,11 @@ from hil.procedure.faults.movement_bounds import (
     SIGMAS,
     SLACK_M,
     farthest_m,
+    faulty_kinds,
+    hold_unconfirmable,
     kind_of,
     let_go,
-    need_not_be_held,
     still_m,
-    struck,
 )
 from hil.procedure.faults.observation import Ended, Seen
 
@@ -77,7 +77,7 @@ def lost(cell: Cell, reason: str) -> CellVerdict:
 
 def judge(cell: Cell, seen: Seen) -> CellVerdict:
     """Return the verdict of a cell from its observations."""
-    by = struck(cell)
+    by = faulty_kinds(cell)
     evidence = [_kinds(names) for names in (*seen.events, *(e.suspects for e in _ends(seen)))]
     others = {name for one in evidence if not one & by for name in one}
     ends = _ends(seen)
@@ -117,7 +117,7 @@ def _wrong(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
     if seen.unreadable:
         yield f"the recording: {seen.unreadable}"
     for end in _ends(seen):
-        if not _kinds(end.suspects) & struck(cell):
+        if not _kinds(end.suspects) & faulty_kinds(cell):
             suspects = ", ".join(sorted(_kinds(end.suspects))) or "no device"
             yield f"{end.reason} names {suspects} and not the faulty device: {end.text}"
     yield from _wrong_of_hold(cell, seen, measured)
@@ -131,7 +131,7 @@ def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
         yield "the robot fell, and the faulty device had not let it go"
     if seen.state == "HELD" and (seen.fallen or not seen.crept_m <= still_m(cell)):
         yield f"said to be held, and moved by {crept_mm:.1f} mm{', and it fell' if seen.fallen else ''}"
-    if seen.cycles and seen.state not in ("HELD", "not needed") and not (gone or need_not_be_held(cell)):
+    if seen.cycles and seen.state not in ("HELD", "not needed") and not (gone or hold_unconfirmable(cell)):
         yield f"not held: {seen.held.why if seen.held is not None else 'no report'}"
     if not gone and not seen.moved_m <= measured.most_m:
         yield f"moved by {moved_mm:.1f} mm after the stop, more than {1e3 * measured.most_m:.1f} mm"

@@ -80,7 +80,7 @@ def kind_of(device: str) -> DeviceKind:
     return found or known.get(head) or known["adhesion"]
 
 
-def struck(cell: Cell) -> frozenset[str]:
+def faulty_kinds(cell: Cell) -> frozenset[str]:
     """Return the kinds of the faulty devices."""
     return frozenset(kind_of(device).name for device in cell.device.split("+"))
 
@@ -102,7 +102,7 @@ def _class_of(device: str, fault: str) -> FaultClass:
 def let_go(cell: Cell, adhesion_n: float, thrust_n: float) -> bool:
     """Whether the true force of a faulty holding device was too low."""
     least = {"adhesion": adhesion_n < LEAST_ADHESION_N, "thrust": thrust_n < LEAST_THRUST_N}
-    return any(least.get(kind, False) for kind in struck(cell))
+    return any(least.get(kind, False) for kind in faulty_kinds(cell))
 
 
 def farthest_m(cell: Cell, stopped_s: float, looked_s: float) -> float:
@@ -120,7 +120,7 @@ def still_m(cell: Cell) -> float:
     return SAGS_M if _is_without(cell) else STILL_M
 
 
-def need_not_be_held(cell: Cell) -> bool:
+def hold_unconfirmable(cell: Cell) -> bool:
     """Whether the hold cannot be confirmed until the end: servos, force or slide cannot be measured."""
     return _is_without(cell) or _is_unmeasured(cell) or _is_unseen(cell)
 

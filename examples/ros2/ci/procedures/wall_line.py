@@ -3,7 +3,7 @@
 import numpy as np
 
 from hil.procedure import Context, Measurement, procedure
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 UP = np.array([0.2, 0.0, 0.0])
@@ -16,7 +16,7 @@ UP = np.array([0.2, 0.0, 0.0])
 )
 def run(ctx: Context) -> None:
     """Drive 20 cm up and measure where the robot really ends."""
-    start = stand(ctx.bench)
+    start = enable_hold(ctx.bench)
     goal = start + UP
     with ctx.step("drive"):
         motion = ctx.bench.drive(line(start, goal, duration_s=6.0), hold_s=2.0)

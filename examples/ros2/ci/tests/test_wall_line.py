@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hil import Bench
-from hil.procedure.tracking_errors import stand
+from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 
 NODE = "ros2 run wall_line wall_line --ros-args -p up_m:=0.2"
@@ -35,7 +35,7 @@ def controller() -> Iterator[None]:
 @pytest.mark.fault("tracker", "off", at=4.0, duration=1.0)
 def test_it_ends_where_it_should_through_a_blind_camera(controller: None, bench: Bench) -> None:
     """The estimate goes on by wheels and inertial unit meanwhile."""
-    start = stand(bench)
+    start = enable_hold(bench)
     motion = bench.drive(line(start, start + UP, duration_s=6.0), hold_s=2.0)
     assert np.hypot(*(motion.mocap[-1] - start - UP)[:2]) < 0.01
     bench.close()

@@ -161,7 +161,7 @@ class DroneCanNode(MotorNode):
         for frame_id, data in frames:
             if garbage:
                 data = self._rng.bytes(len(data))
-            elif corrupt is not None and corrupt.strikes(self._rng):
+            elif corrupt is not None and corrupt.hits(self._rng):
                 bit = int(self._rng.integers(8 * len(data)))
                 data = bytes(b ^ (1 << bit % 8) * (i == bit // 8) for i, b in enumerate(data))
             self._send(frame_id, data, t_ns)

@@ -29,7 +29,7 @@ from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.mip_packets import Packet, PacketParser
 from hil.devices.imu.microstrain.serial_link import Link, LinkLostError, longest_packet_ns
 from hil.links.device_clock import DeviceClock
-from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.silence_limit import SilenceTimer, used_while_closed
 from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         self._parser = PacketParser(longest_packet_ns(config))
         self._device_clock = DeviceClock(nanoseconds(config.delay_s))
         self._stuck = StuckTest(config.stuck_after_s)
-        self._usefulness = Usefulness(config.fail_after_s)
+        self._silence_timer = SilenceTimer(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._sequence = 0
         self.latest: f.FilterData | None = None
@@ -93,7 +93,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         self.latest = None
         now_ns = self._clock.now_ns()
         self._stuck.reset(now_ns)
-        self._usefulness.begin(now_ns)
+        self._silence_timer.begin(now_ns)
         self._heard_ns = self._reported_ns = now_ns
         self._reopen_ns, self._noise_ns, self._trouble = 0, now_ns - _NOISE_NS, "nothing came"
         self._is_ours = self._just_set_up = self._restarted = False
@@ -290,10 +290,10 @@ class MicrostrainImu(Sensor[ImuSample]):
 
     def _judge(self, samples: list[ImuSample], now_ns: int) -> None:
         useful = any(s.status is Status.OK for s in samples)
-        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
+        if overdue_ns := self._silence_timer.overdue_ns(useful, now_ns):
             raise DeviceTimeoutError(
                 self.name,
-                f"nothing usable for {lost_ns / NS_PER_S:.1f} s ({self._trouble})",
+                f"nothing usable for {overdue_ns / NS_PER_S:.1f} s ({self._trouble})",
                 port=self._config.port,
                 expected=f"{self.rate_hz:.0f} samples per second",
                 remedy=REMEDY,

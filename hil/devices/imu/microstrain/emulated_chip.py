@@ -73,7 +73,7 @@ class MicrostrainFaults(InertialFaults):
         if self.find("garbage", t_ns) or self.find("baud_mismatch", t_ns):
             return self._rng.bytes(len(data))
         fault = self.find("intermittent", t_ns)
-        return b"" if fault is not None and fault.interrupts(t_ns) else data
+        return b"" if fault is not None and fault.silences(t_ns) else data
 
 
 _BAUD_TOLERANCE = 0.03
@@ -211,7 +211,7 @@ class MicrostrainChip(SerialChip):
         ticks = min(decimation - self._tick % decimation for _, decimation in entries)
         self._tick += ticks
         period_ns = NS_PER_S / self._options.base_rate_hz / self._stretch
-        self._next_ns = t_ns + round(ticks * period_ns * self._faults.slowness(t_ns))
+        self._next_ns = t_ns + round(ticks * period_ns * self._faults.period_factor(t_ns))
 
     def _measured(self, tick: int, t_ns: int) -> bytes:
         """The packet of this tick."""

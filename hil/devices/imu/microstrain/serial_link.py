@@ -8,7 +8,7 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import DeviceError
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.mip_packets import BITS_PER_BYTE, LARGEST_BYTES
-from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, close_quietly, open_serial
 
 _EXPECTED = "a MicroStrain sensor at a serial port or pyserial URL"
 _CHUNK = 4096
@@ -58,7 +58,7 @@ class Link:
     def close(self) -> None:
         """Close the port; never raises."""
         port, self._port = self._port, None
-        let_go(port)
+        close_quietly(port)
 
     def receive(self) -> bytes:
         """Bytes that have arrived; raises `LinkLostError`."""

@@ -13,12 +13,12 @@ from hil.core.finding import Finding
 from hil.core.signals import Stamp, Status, ThrustSample
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.drivers.adhesion.can_motor import DaemonMotor
-from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
+from hil.drivers.adhesion.vesc_identity import BusReplies, discover_controllers
 from hil.drivers.adhesion.vesc_settings import Answers
 from hil.fan_daemon.commander import MakeCommander, finding
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.spec import Spec
-from hil.links.silence_limit import Usefulness
+from hil.links.silence_limit import SilenceTimer
 from hil.links.stuck_values import StuckTest
 from hil.links.vesc import Packet, address, decode
 from hil.links.vesc import Status as Report
@@ -51,9 +51,11 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
 
     def _forget(self) -> None:
         super()._forget()
-        self._usefulness = {one: Usefulness(self._config.fail_after_s) for one in self._config.controller_ids}
-        for usefulness in self._usefulness.values():
-            usefulness.begin(self._clock.now_ns())
+        self._silence_timers = {
+            one: SilenceTimer(self._config.fail_after_s) for one in self._config.controller_ids
+        }
+        for timer in self._silence_timers.values():
+            timer.begin(self._clock.now_ns())
         self._heard: set[int] = set()
         self._stuck = {one: StuckTest(_STUCK_S) for one in self._config.controller_ids}
         self._newest: dict[int, tuple[int, Report]] = {}
@@ -70,7 +72,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
 
     def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, BusReplies, Answers]:
         answers = Answers()
-        seen = ask_who(self._link, motor, self._clock, answers)
+        seen = discover_controllers(self._link, motor, self._clock, answers)
         seen.key = "controller_ids"
         seen.check(self.name, self._link, motor, answers, spec)
         return motor, seen, answers
@@ -82,9 +84,11 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
             DeviceTimeoutError: a controller has been silent for `fail_after_s`.
         """
         self._must_be_open()
-        samples: list[ThrustSample] = self._link.heard()
+        samples: list[ThrustSample] = self._link.read_samples()
         now_ns = self._clock.now_ns()
-        lost = {one: u.lost_ns(one in self._heard, now_ns) for one, u in self._usefulness.items()}
+        lost = {
+            one: timer.overdue_ns(one in self._heard, now_ns) for one, timer in self._silence_timers.items()
+        }
         self._heard.clear()
         longest = max(lost, key=lost.__getitem__)
         if lost[longest]:
@@ -101,7 +105,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
             return None
         self._heard.add(said.controller_id)
         self._newest[said.controller_id] = (t_ns, said)
-        whole = len(self._newest) == len(self._usefulness) and t_ns > self._latest_ns
+        whole = len(self._newest) == len(self._silence_timers) and t_ns > self._latest_ns
         return self._sample(t_ns, now_ns) if whole else None
 
     def _sample(self, t_ns: int, now_ns: int) -> ThrustSample:

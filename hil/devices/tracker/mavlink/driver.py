@@ -26,7 +26,7 @@ from hil.devices.tracker.mavlink.transport_interface import LinkFactory
 from hil.devices.tracker.mavlink.transports import open_link
 from hil.links.device_clock import DeviceClock
 from hil.links.pose_jumps import JumpTest
-from hil.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
+from hil.links.silence_limit import USELESS, SilenceTimer, nothing_usable, used_while_closed
 from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
@@ -62,7 +62,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._jumps = JumpTest.of(config)
         self._stuck = StuckTest(config.stuck_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
-        self._usefulness = Usefulness(config.fail_after_s)
+        self._silence_timer = SilenceTimer(config.fail_after_s)
         self._seq, self._last_t_ns = 0, -(1 << 62)
         self._forget()
 
@@ -94,7 +94,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
             self.close()
             raise
         now_ns = self._clock.now_ns()
-        self._usefulness.begin(now_ns)
+        self._silence_timer.begin(now_ns)
         self._stuck.reset(now_ns)
 
     def reopen(self) -> None:
@@ -137,8 +137,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
                 samples.append(sample)
         now_ns = self._clock.now_ns()
         useful = any(sample.status not in _USELESS for sample in samples)
-        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
-            what = nothing_usable("pose", lost_ns, samples)
+        if overdue_ns := self._silence_timer.overdue_ns(useful, now_ns):
+            what = nothing_usable("pose", overdue_ns, samples)
             if self._repeated:
                 what += f"; {self._repeated} poses were no newer than the one before"
             raise silent(session, self._config, self.name, what)

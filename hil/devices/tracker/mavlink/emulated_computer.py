@@ -204,7 +204,7 @@ class VisualInertialComputer(Scheduled):
 
     def _expose(self, t_ns: int) -> None:
         options, faults = self.options, self.faults
-        period_s = self._stretch * faults.slowness(t_ns) / options.rate_hz
+        period_s = self._stretch * faults.period_factor(t_ns) / options.rate_hz
         self._exposure_ns = t_ns + round(NS_PER_S * period_s)
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
         body = self._world.plant.body()

@@ -53,7 +53,7 @@ class ComputerFaults(DeviceFaults):
         if self.find("off", t_ns) is not None:
             return True
         fault = self.find("intermittent", t_ns)
-        return fault is not None and fault.interrupts(t_ns)
+        return fault is not None and fault.silences(t_ns)
 
     def cut_off(self, t_ns: int) -> bool:
         """Whether no packet gets in or out: the cable is unplugged."""
@@ -61,7 +61,7 @@ class ComputerFaults(DeviceFaults):
 
     def jump(self, t_ns: int) -> tuple[float, bool]:
         """Distance of a jump that is due, once per fault, and whether the reset count shows it."""
-        fault = self.news("jump", t_ns)
+        fault = self.first_activation("jump", t_ns)
         if fault is None:
             return 0.0, False
         return fault.option("distance_m", _JUMP_M), bool(fault.option("announced", 1.0))
