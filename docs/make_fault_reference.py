@@ -64,13 +64,13 @@ time, world time is the bench's clock; `hil emulate --await-start` stops it unti
 a start a fault acts from the beginning, without a duration to the end. `reset` and `jump` act once, at the
 start; `jump` of motion capture lasts. Of two faults of one kind on one device the one that began last counts.
 
-**Timeout of a silent sensor.** The bench waits for `fail_after_s` of the sensor's table in the bench file: 3 s
-for an IMU, 2 s for camera and motion capture, 1 s for encoders and load cells, unless you change it. Longer
-silence ends the drive, or the observation at rest, with `DeviceTimeoutError` (exit code 3). This holds in
-virtual time, at the wire, in a mix and on the real bench. In real time a port that has disappeared is reopened
-meanwhile, and a sensor that returns in time continues. If a procedure catches the error, it continues, and a
-note in `result.json` and in the report names the device and the length of the silence. Only a session of
-`hil live` that does not drive the robot waits longer: up to 10 s more.
+**Timeout of a silent sensor.** The bench waits for `fail_after_s` of the sensor's table in the bench file:
+3 s for an IMU, 2 s for camera and motion capture, 1 s for encoders and load cells, unless you change it.
+Longer silence ends the drive, or the observation at rest, with `DeviceTimeoutError` (exit code 3). This
+holds in virtual time, at the wire, in a mix and on the real bench. In real time a port that has disappeared
+is reopened meanwhile, and a sensor that returns in time continues. If a procedure catches the error, it
+continues, and a note in `result.json` and in the report names the device and the length of the silence.
+Only a session of `hil live` that does not drive the robot waits longer: up to 10 s more.
 
 [Several devices of one kind](bench-file.md#several-devices-of-one-kind) are addressed by name:
 `imu_arm:stuck`.
