@@ -34,8 +34,10 @@ FLIP = (
     "all that follows differs, too. Such a flip may come from the other arithmetic alone"
 )
 """What to know where a flag, a count or an event differs under another arithmetic."""
-
-
+EXACT = "The arithmetic is that of the recording, so every bit has to be equal"
+"""What to know of a difference where the fingerprints are the same."""
+MISSING = "Cycles are missing, so those after them cannot be verified; no number that was compared differs"
+"""What to know of a run with a gap."""
 _STOP = re.compile(r"robot stopped \((\w+)\): (.*)", re.DOTALL)
 """Text of a `SafetyStop`."""
 
@@ -199,7 +201,8 @@ class RunCheck:
         if self.result["difference"] is not None:
             return
         if self._latest is not None and record.cycle != self._latest + 1:
-            self._differs(f"cycle {record.cycle}: the cycles before it were not recorded")
+            self._differs(f"cycle {record.cycle}: the cycles before it are missing")
+            self.result["remark"] = MISSING
             return
         self._latest = record.cycle
         if isinstance(self._given, RecordedReferences):
@@ -210,7 +213,9 @@ class RunCheck:
         if verdict == DIFFERS:
             self._differs(f"cycle {record.cycle}: {difference}")
             flip = self.agreement.flip
-            if flip is not None and not self._exact:
+            if self._exact:
+                self.result["remark"] = EXACT
+            elif flip is not None:
                 self.result["remark"] = f"{FLIP}: {flip}."
         elif verdict == AGREES:
             self.result["verdict"] = AGREES

@@ -82,7 +82,7 @@ def test_another_controller_and_a_gap_are_named(drive):
     assert "setpoint" in found
     records = (*run.records[:30], *run.records[31:])
     found = verify_run(drive.bench, RecordedRun(run.start, records))
-    assert found["difference"] == f"cycle {run.records[31].cycle}: the cycles before it were not recorded"
+    assert found["difference"] == f"cycle {run.records[31].cycle}: the cycles before it are missing"
 
 
 def test_a_run_that_ended_in_a_stop_repeats_with_its_stop(tmp_path):

@@ -50,8 +50,8 @@ def test_a_foreign_recording_is_nothing_to_verify(recording, capsys):
     assert "not a recording of this bench: there is nothing to verify" in capsys.readouterr().err
 
 
-def replayed(capsys, *words):
-    assert main(["replay", *map(str, words), "--json"]) == 0
+def replayed(capsys, *words, code=0):
+    assert main(["replay", *map(str, words), "--json"]) == code
     said = capsys.readouterr()
     return json.loads(said.out), said.err
 
@@ -97,10 +97,10 @@ def test_process_noise_that_a_user_has_chosen_is_kept():
 
 def test_another_robots_recording_is_doubted_as_evaluate_does(tmp_path, capsys):
     path, page = written(tmp_path / "line_x_1.csv", scale=2.0), tmp_path / "page.html"
-    result, said = replayed(capsys, path, "--page", page)
+    result, said = replayed(capsys, path, "--page", page, code=2)
     assumed, warning = result["warnings"]
     assert "bench emulated_floor are assumed" in assumed
-    named, _ = replayed(capsys, path, "--bench", "emulated")
+    named, _ = replayed(capsys, path, "--bench", "emulated", code=2)
     assert not any("does not say" in line for line in named["warnings"])
     assert "the robot went 2.00 times as far as its wheels say" in warning
     assert "--bench" in warning
