@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -47,11 +49,10 @@ def repeating_robot(config: BenchConfig) -> RecordedRobot:
     """
     emulation, alignment = config.emulation, config.alignment
     path = str(emulation.replay)
-    found = read_recordings([Path(path)])
-    if len(found) != 1:
-        raise ConfigError(
-            f"emulation.replay: {path} holds {len(found)} recordings", expected="one", remedy="name one file"
-        )
+    with _in_key(config, "emulation.replay"):
+        found = read_recordings([Path(path)])
+        if len(found) != 1:
+            raise ConfigError(f"{path} holds {len(found)} recordings", expected="one", remedy="name one file")
     recording = found[0]
     motion = RecordedMotion(
         recording.name,
@@ -66,6 +67,18 @@ def repeating_robot(config: BenchConfig) -> RecordedRobot:
         recording.truth_pose,
     )
     return RecordedRobot(motion, tilt_rad=config.environment.tilt_rad, after_s=emulation.replay_after_s)
+
+
+@contextmanager
+def _in_key(config: BenchConfig, key: str) -> Iterator[None]:
+    """Name the bench and a key of its file in an error about the value of that key; its class stays."""
+    try:
+        yield
+    except HilError as error:
+        reported = copy(error)
+        message = f"{config.name}: {key}: {error.message}"
+        HilError.__init__(reported, message, expected=error.expected, remedy=error.remedy)
+        raise reported from error
 
 
 @dataclass
@@ -200,6 +213,8 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
             if not only or kind in only:
                 device = emulated(config, world, kind, f"{kinds()[kind].shown_as}-{number}")
                 connected.connections[kind] = _reached(config, world, kind, "connect", device.connect)
+        with _in_key(config, "emulation.faults"):
+            world.faults.check(among=_faults(config, ()))
         world.faults.check()
     except HilError:
         connected.close()
@@ -226,8 +241,11 @@ def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[F
 def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, ...]:
     """Faults of a bench, each with the name of its device resolved."""
     labels = {name: label for name, label in config.labels().items() if label or name not in KINDS}
-    read = read_faults((*config.emulation.faults, *given))
-    return tuple(replace(fault, device=resolve_device(fault.device, labels)) for fault in read)
+    with _in_key(config, "emulation.faults"):
+        own = read_faults(config.emulation.faults)
+    return tuple(
+        replace(fault, device=resolve_device(fault.device, labels)) for fault in (*own, *read_faults(given))
+    )
 
 
 def check_faults(

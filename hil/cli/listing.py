@@ -100,7 +100,17 @@ def _by_faults(found: Mapping[str, Mapping[str, Sequence[str]]]) -> list[tuple[s
     ]
 
 
-_ROWS: Mapping[str, Callable[[Any], list[tuple[str, str]]]] = {"devices": _by_model, "faults": _by_faults}
+def _and_own(found: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Rows of the estimators, and how one of the user's own is named."""
+    own = "of your own: a class, or a function that makes one, with reset(state) and update(measurements)"
+    return [*found.items(), ("FILE.py:NAME", f"{own}; for hil replay --estimator")]
+
+
+_ROWS: Mapping[str, Callable[[Any], list[tuple[str, str]]]] = {
+    "devices": _by_model,
+    "faults": _by_faults,
+    "estimators": _and_own,
+}
 
 
 def _print(title: str, rows: Sequence[tuple[str, str]]) -> None:

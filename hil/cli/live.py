@@ -30,11 +30,14 @@ from hil.support.atomic_files import check_new_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
+    from hil.core.geometry import Array
     from hil.live import CommandLines, LiveSession
+    from hil.live.reference_files import MakeTrajectory
     from hil.live.ros2_program import Ros2Program
     from hil.monitor import RerunMonitor
     from hil.procedure.bench_request import BenchSource
     from hil.recording.mcap_writer import McapRecorder, OnFailure
+    from hil.robot.trajectories import Trajectory
     from hil.ros2.publisher import Ros2Publisher
 
 
@@ -65,7 +68,8 @@ if TYPE_CHECKING:
     "--duration",
     "duration_s",
     type=FiniteRange(0.0, min_open=True),
-    help="Seconds [default: until the trajectory or a signal ends it].",
+    help="Seconds; a longer trajectory is ended there, at the end of a shorter one the robot waits. Then the "
+    "robot is watched until it is held [default: until the trajectory or a signal ends it].",
 )
 @click.option(
     "--feedback",
@@ -140,7 +144,7 @@ def command(
             opened.warns_not_held = False
             with closing(opened):
                 plan = LivePlan(
-                    reference,
+                    None if reference is None else _announced(reference, duration_s),
                     lines,
                     _program(request, publisher),
                     duration_s,
@@ -162,6 +166,24 @@ def command(
                 "robot", f"NOT HELD: {opened.held.why}", remedy="secure it before anything else"
             )
     return EXIT_PASS
+
+
+def _announced(make: MakeTrajectory, duration_s: float | None) -> MakeTrajectory:
+    """The same trajectory; printed on standard error: how long it takes, and what the session does then."""
+    from hil.live.session import HOLD_S
+
+    def made(pose: Array) -> Trajectory:
+        trajectory = make(pose)
+        takes_s = trajectory.duration_s
+        then = f"the session ends {HOLD_S:g} s after it"
+        if duration_s is not None:
+            then = f"the session ends after {duration_s:g} s, " + (
+                "before its end" if duration_s < takes_s else "and until then the robot waits at its end"
+            )
+        click.echo(f"the trajectory takes {takes_s:.1f} s; {then}", err=True)
+        return trajectory
+
+    return made
 
 
 def _program(request: BenchRequest, publisher: Ros2Publisher | None) -> Ros2Program | None:
@@ -224,7 +246,12 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
         session.end_if_asked()
         with bench:
             click.echo(f"at the start {seen_in_words(bench.look())}", err=True)
-            session.run()
+            try:
+                session.run()
+            finally:
+                click.echo(
+                    "the session is over: the robot is stopped, and watched until it is held", err=True
+                )
     except HilError as error:
         session.ended = session.ended or str(error)
         raise

@@ -147,7 +147,15 @@ def command(
         else:
             print_end(text_of(result), result.facts["held"])
             click.echo(f"report: {shown_path(Path(page)) if page else 'could not be written'}")
+        if untested := _untested(result):
+            click.echo(f"hil: warning: {untested}", err=True)
     return code
+
+
+def _untested(result: Result) -> str:
+    """A sentence on the faults whose start the run did not reach; empty where there are none."""
+    missed = result.facts["faults_not_begun"]
+    return f"The run ended before {', '.join(missed)} acted: it does not test that." if missed else ""
 
 
 def _report_of(result: Result) -> tuple[str | None, int]:
@@ -208,6 +216,7 @@ def text_of(result: Result) -> str:
     lines += [f"note: {note}" for note in notes]
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
-    lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
+    untested = _untested(result)
+    lines.append(" ".join(filter(None, (f"{result.verdict.value}: {result.procedure}.", said, untested))))
     lines.append(f"results: {shown_path(result.folder)}")
     return printable("\n".join(lines))

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import field_validator
 
-from hil.config.values import Angle, HeadingLimit, Signs, Strict, Switch, WheelRate, Within
+from hil.config.values import HeadingLimit, Signs, SteeringZero, Strict, Switch, WheelRate, Within
 
 Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
 
@@ -77,7 +77,7 @@ class AlignmentConfig(Strict):
 
     drive_sign: Signs = (1, 1, 1, 1)
     steer_sign: Signs = (1, 1, 1, 1)
-    steer_zero_rad: tuple[Angle, Angle, Angle, Angle] = (0.0, 0.0, 0.0, 0.0)
+    steer_zero_rad: tuple[SteeringZero, SteeringZero, SteeringZero, SteeringZero] = (0.0, 0.0, 0.0, 0.0)
 
 
 class EmulationConfig(Strict):

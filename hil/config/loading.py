@@ -6,6 +6,7 @@ Strict: unknown keys are errors, and every problem is reported at once with its 
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import date
@@ -20,7 +21,7 @@ from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
 from hil.config.robot_record.overlay import apply_record, check_record
 from hil.config.several_devices import devices_in, further_in, resolve_device, spread
-from hil.core.errors import ConfigError, HilError, did_you_mean
+from hil.core.errors import ConfigError, HilError, did_you_mean, did_you_mean_file
 from hil.core.registry import kinds
 from hil.support.atomic_files import check_name
 from hil.support.file_reading import get_dotted, put_dotted, read_toml, toml_tables
@@ -85,7 +86,7 @@ def _found(source: str | Path) -> tuple[dict[str, Any], str]:
     check_name(path, "bench")
     if path.suffix == ".toml" or path.exists():
         there = () if path.exists() else _bench_files(path.parent)
-        near = did_you_mean(str(source), there)
+        near = did_you_mean_file(source, there)
         return read_toml(path, remedy=near or "give a bench.toml or a profile name"), str(path)
     if str(source) in profile_names():
         origin = f"profile {source}"
@@ -94,7 +95,7 @@ def _found(source: str | Path) -> tuple[dict[str, Any], str]:
     raise ConfigError(
         f"bench {str(source)!r} is neither a file nor a shipped profile",
         expected="a path to a .toml file or one of " + ", ".join(profile_names()),
-        remedy=did_you_mean(f"{source}.toml", _bench_files(path.parent))
+        remedy=did_you_mean_file(source, _bench_files(path.parent))
         or did_you_mean(str(source), profile_names()),
     )
 
@@ -333,10 +334,29 @@ def _reason(item: Any) -> str:
     if tables == ("schema",) and item["type"] == "literal_error":
         return _reason_of_schema(item["input"])
     if item["type"] == "missing":
-        return "missing"
+        return _reason_of_missing(tables[-1] if tables else "")
+    if item["type"] == "tuple_type":
+        return f"must be a list{_as_a_list(item['input'])} (found {item['input']!r})"
+    if item["type"] == "too_long":
+        most, count = item["ctx"]["max_length"], item["ctx"]["actual_length"]
+        return f"the list is too long, {count} values where {most} are expected (found {item['input']!r})"
     if item["type"] in ("model_type", "model_attributes_type"):
         return f"expected a table (found {item['input']!r})"
     return f"{item['msg']} (found {item['input']!r})"
+
+
+def _reason_of_missing(key: int | str) -> str:
+    """Problem of a key that is missing, or of a list without the element of an index."""
+    return (
+        f"missing: the list is too short, it has no number {key + 1}" if isinstance(key, int) else "missing"
+    )
+
+
+def _as_a_list(value: object) -> str:
+    """How a single number or text is written as a list of TOML; empty for other values."""
+    if isinstance(value, str):
+        return f": [{json.dumps(value)}]"
+    return f": [{json.dumps(value)}, ...]" if isinstance(value, (bool, int, float)) else ""
 
 
 def _reason_of_schema(found: object) -> str:

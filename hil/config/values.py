@@ -192,6 +192,12 @@ Delay = Annotated[float, Within(0.0, 0.5, "s; what comes later is of no use to a
 """What passes (s) from a measurement to its arrival, or is allowed on top of it; may be 0."""
 
 Angle = Annotated[float, Within(-7.0, 7.0, "a turn is 6.28, angles are in radians")]
+
+SteeringZero = Annotated[
+    float, Within(-3.1416, 3.1416, "half a turn either way; give radians: 5 deg is 0.0873")
+]
+"""Angle (rad) that a steering servo reports while its wheel stands straight."""
+
 HeadingLimit = Annotated[float, Within(0.001, 1.5708, "rad; beyond a quarter turn the thrust pulls down")]
 WheelRate = Annotated[float, Within(0.01, TOP_WHEEL_RATE_RAD_S, "rad/s; no XH430-W210 turns faster")]
 

@@ -66,6 +66,13 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"did you mean {near}?" if near else ""
 
 
+def did_you_mean_file(given: str | Path, known: Iterable[str]) -> str:
+    """As `did_you_mean`, for files: compares their names without folder and ending, which many share."""
+    by_stem = {Path(name).stem: name for name in known}
+    near = nearest(Path(given).stem, by_stem)
+    return f"did you mean {by_stem[near]}?" if near else ""
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """The known word nearest to a mistyped one; empty when none is near."""
     by_lower = {name.lower(): name for name in known}

@@ -16,6 +16,10 @@ from hil.core.signals import Status, worst
 LOSS_WARNING, LOSS_FAILURE = 0.02, 0.2
 SUPPLY = "check its supply and cable"
 """Remedy for a device that restarts."""
+_STUCK = (
+    "its samples arrive, so cable and rate are right, but they repeat the same values: switch its supply off "
+    "and on; if that does not help, the device is defective"
+)
 MORE_WARNING, MORE_FAILURE = 0.05, 0.2
 """Share of samples beyond those that are due: data sheets let the rate of MEMS sensors be off by up to 3 %;
 clocks and their adjustment are off by less than 0.1 %."""
@@ -86,7 +90,8 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
         name: of the device.
         statuses: one for each sample.
         due: how many there should be.
-        remedy: what to do when many are missing.
+        remedy: what to do when many are missing; where most of the bad ones repeat the same values, that is
+            named instead.
     """
     seen = Counter(statuses)
     count, good = sum(seen.values()), seen.pop(Status.OK, 0)
@@ -100,7 +105,8 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
     loss = 1.0 - good / due if due else 1.0
     level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
     message = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
-    return Finding(name, "samples", level, f"{good} of {due} good ({message})", "nearly all good", remedy)
+    do = _STUCK if 2 * seen[Status.FROZEN] > due - good else remedy
+    return Finding(name, "samples", level, f"{good} of {due} good ({message})", "nearly all good", do)
 
 
 def restarted(again: int, count: int) -> str:

@@ -35,7 +35,8 @@ from hil.robot.trajectories import Trajectory
 from hil.support.stop_signals import StopRequest
 
 _SETTLE_S = 0.5
-_HOLD_S = 2.0
+HOLD_S = 2.0
+"""How long (s) a robot is held at the end of a trajectory if no duration is given."""
 _PATH_POINTS = 400
 _HEADING_MARGIN_RAD = 0.035
 
@@ -295,7 +296,7 @@ class LiveSession:
         start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, reported)
         reason, length_s, waited_ns = "duration", plan.duration_s, lambda: 0
         if length_s is None and plan.trajectory is not None and trajectory is not None:
-            reason, length_s = "trajectory", trajectory.duration_s + _HOLD_S
+            reason, length_s = "trajectory", trajectory.duration_s + HOLD_S
             self._first_ns, waited_ns = None, lambda: pipeline.waited_ns
         bench.run(pipeline, start, self._is_over(waited_ns, reason, length_s))
         self._must_not_be_asked()

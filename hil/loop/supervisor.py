@@ -155,7 +155,12 @@ class Supervisor:
             raise SafetyStop("not_finite", "a setpoint is not finite")
         if max(angles) > self._widest_rad or min(angles) < -self._widest_rad:
             shown_deg = np.degrees(angles).round(1).tolist()
-            raise SafetyStop("steering_limit", f"steering setpoint {shown_deg} deg")
+            limit_deg = math.degrees(self.limits.steering_limit_rad)
+            raise SafetyStop(
+                "steering_limit",
+                f"steering setpoint {shown_deg} deg, beyond {limit_deg:.4g} deg (safety.steering_limit_rad); "
+                "look at alignment.steer_zero_rad (rad; see hil run steering_zero) and at the controller",
+            )
         fastest = self.limits.wheel_rate_limit_rad_s
         if max(rates) > fastest or min(rates) < -fastest:
             slowed = setpoint.wheel_rate_rad_s * (fastest / max(map(abs, rates)))

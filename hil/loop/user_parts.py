@@ -82,6 +82,7 @@ def call_controller(
     """
     found = controller.update(*_sealed((state, reference, wheels)))
     wrong = _wrong_arrays(found, WheelSetpoint, _SETPOINT)
+    wrong = wrong or _wrong_numbers(found)
     if wrong is not None:
         _refuse("controller", controller, cycle, *wrong)
     return _copied(found, _SETPOINT)
@@ -123,6 +124,15 @@ def _wrong_arrays(
         right = isinstance(values, np.ndarray) and values.shape == shape and values.dtype == np.float64
         if not right:
             return f"a {kind.__name__} whose {name} is {_in_words(values)}", expected
+    return None
+
+
+def _wrong_numbers(setpoint: WheelSetpoint) -> tuple[str, str] | None:
+    """As `_wrong_arrays`, for a number of a setpoint that is not finite."""
+    for name in _SETPOINT:
+        values: list[float] = getattr(setpoint, name).tolist()
+        if not all(map(math.isfinite, values)):
+            return f"a WheelSetpoint whose {name} is {values}", "finite numbers, rad/s and rad"
     return None
 
 

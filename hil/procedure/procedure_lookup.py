@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import hil
-from hil.core.errors import ConfigError, did_you_mean
+from hil.core.errors import ConfigError, did_you_mean, did_you_mean_file
 from hil.core.registry import kinds
 from hil.core.wrong_path_hint import is_tests, meant
 from hil.procedure.declaration import Procedure
@@ -71,8 +71,8 @@ def _near(target: str) -> str:
     folder = Path(target).parent
     with suppress(OSError):
         scripts = [str(folder / found.name) for found in folder.glob("*.py") if found.is_file()]
-        return did_you_mean(target, [*shipped_names(), *scripts])
-    return did_you_mean(target, shipped_names())
+        return did_you_mean_file(target, [*shipped_names(), *scripts])
+    return did_you_mean_file(target, shipped_names())
 
 
 def _from_file(path: Path) -> ModuleType:

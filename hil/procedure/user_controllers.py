@@ -12,7 +12,8 @@ from hil.support.named_class import make_named, maker_of
 if TYPE_CHECKING:
     from hil.bench.model import BenchModel
 
-_OPTION, _PARTS = "--controller", ("reset", "update")
+_OPTION = "--controller"
+_PARTS = {"reset": (), "update": ("state", "reference", "wheels")}
 
 
 def check_named(named: str) -> None:
@@ -20,7 +21,7 @@ def check_named(named: str) -> None:
 
     Raises:
         UsageError: neither a shipped law nor a name with a colon.
-        ConfigError: no such file, module or name, or loading fails.
+        ConfigError: no such file, module or name, loading fails, or it cannot be called as it will be.
     """
     if named in LAWS:
         return

@@ -15,7 +15,7 @@ from hil.loop.checks.state_valid import unusable
 from hil.loop.driven_motion import Motion
 from hil.support.named_class import make_named
 
-_PARTS = ("reset", "update")
+_PARTS = {"reset": ("state",), "update": ("measurements",)}
 _EXPECTED = ", ".join(COMPARED) + ", or FILE.py:NAME or MODULE:NAME of your own"
 
 

@@ -28,6 +28,7 @@ _PIECE = 1 << 20
 _DEEPEST = 64
 _KEY = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_KEY}[ \t]*\.[ \t]*){{{_DEEPEST}}}")
+_BYTE_ORDER_MARK = "\ufeff"
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
@@ -82,7 +83,7 @@ def read_toml(path: Path, *, remedy: str = "") -> dict[str, Any]:
 
 
 def toml_tables(text: str, origin: str) -> dict[str, Any]:
-    """The tables of a TOML text.
+    """The tables of a TOML text; it may begin with a byte order mark, as some editors of Windows write it.
 
     Raises:
         ConfigError: not TOML, or nested deeper than any file of this project; names `origin`.
@@ -90,7 +91,7 @@ def toml_tables(text: str, origin: str) -> dict[str, Any]:
     try:
         if _LONG_KEY.search(text) is not None:
             raise ValueError(f"a key of more than {_DEEPEST} parts")
-        tree = tomllib.loads(text)
+        tree = tomllib.loads(text.removeprefix(_BYTE_ORDER_MARK))
         _check_depth(tree)
     except RecursionError:
         raise ConfigError(f"{origin}: not valid TOML (nested too deeply)") from None

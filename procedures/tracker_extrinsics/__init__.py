@@ -135,11 +135,11 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def headline(v: Mapping[str, float]) -> str:
-    """Return the position of the camera, and the improvement by the known mount."""
+    """Return the position of the camera, and its error with this mount and with the configured one."""
     return (
         f"The camera sits {v['mount_x']:.0f} mm ahead of the robot's middle and {v['mount_y']:.0f} mm to the "
-        f"left. With its mount known, its position error fell from {v['before.position_rmse']:.1f} mm to "
-        f"{v['applied.position_rmse']:.1f} mm (RMSE)."
+        f"left. With this mount its position error is {v['applied.position_rmse']:.1f} mm (RMSE); with the "
+        f"mount as configured before it was {v['before.position_rmse']:.1f} mm."
     )
 
 

@@ -98,8 +98,16 @@ def test_a_fault_timeline_acts_like_the_specs(tmp_path):
         ConfigError, match=r"(?s)faults\.toml: not a fault timeline.*fault\.0\.at: .*fault\.1"
     ):
         hil.open_bench("emulated", faults=(str(timeline),))
-    with pytest.raises(UsageError, match="period_s is 0"):
+    with pytest.raises(UsageError, match=r"^emulated: emulation\.faults: .*period_s is 0"):
         hil.open_bench("emulated", overrides={"emulation.faults": ["imu:intermittent,period_s=0"]})
+
+
+def test_a_fault_of_the_bench_file_is_refused_by_its_key_and_one_of_the_call_is_not():
+    overrides = {"emulation.faults": ["imu:bus_off"]}
+    with pytest.raises(FaultNotSupportedError, match=r"^emulated: emulation\.faults: imu cannot produce"):
+        hil.open_bench("emulated", overrides=overrides)
+    with pytest.raises(FaultNotSupportedError, match=r"^imu cannot produce"):
+        hil.open_bench("emulated", faults=("imu:bus_off",))
 
 
 def test_what_the_limits_cannot_follow_is_refused_before_anything_moves():

@@ -103,6 +103,14 @@ def test_samples_that_are_missing_are_a_warning_or_a_failure_by_their_share(good
     assert losses("imu", [], 0, "check wiring").level == "failure"
 
 
+def test_samples_that_repeat_themselves_are_not_put_down_to_the_wiring():
+    stuck = losses("imu", [Status.FROZEN] * 100, 100, "check wiring")
+    assert "wiring" not in stuck.remedy
+    assert "repeat" in stuck.remedy
+    some_lost = losses("imu", [Status.OK] * 40 + [Status.FROZEN] * 10, 100, "check wiring")
+    assert some_lost.remedy == "check wiring"
+
+
 @pytest.mark.parametrize(
     ("good", "bad", "level"), [(106, 0, "ok"), (108, 0, "warning"), (100, 100, "failure")]
 )

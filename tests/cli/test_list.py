@@ -48,3 +48,10 @@ def test_faults_are_those_of_the_bench_that_is_named(listed):
     assert not [name for name in found if name.startswith("servo")]
     assert parse_fault("imu:stuck@1").kind in found["imu"]
     assert "probability" in found["imu"]["drop"]
+
+
+def test_estimators_say_how_one_of_ones_own_is_named(capsys):
+    assert main(["list", "estimators"]) == 0
+    said = capsys.readouterr().out
+    assert "FILE.py:NAME" in said
+    assert "function" in said

@@ -5,7 +5,10 @@ import sys
 
 import pytest
 
+from hil.bench import make_bench_model
 from hil.cli import main
+from hil.core.errors import ConfigError
+from hil.procedure.user_controllers import check_named, make_own
 from hil.recording.runs import read_runs
 
 MINE = """
@@ -37,6 +40,30 @@ class Refuses:
         raise ValueError("no licence")
 
     reset = update = None
+
+
+class TakesTwo(Ahead):
+    def __init__(self, bench, gain):
+        super().__init__(bench)
+
+
+class ByName(Ahead):
+    def __init__(self, bench, *, gain):
+        super().__init__(bench)
+
+
+class Short(Ahead):
+    def update(self, state, reference):
+        return None
+
+
+class Fuller(Ahead):
+    def update(self, state, reference, wheels, more=None, *others):
+        return super().update(state, reference, wheels)
+
+
+def ahead_of(bench):
+    return Ahead(bench)
 
 
 class Lost(Ahead):
@@ -94,6 +121,17 @@ def test_a_class_of_ones_own_drives_what_the_procedure_asks_for(here, capsys):
     assert json.loads((here / "results" / "result.json").read_text())["controller"] == "mine.py:Ahead"
 
 
+@pytest.mark.parametrize("named", ["mine.py:Ahead", "mine.py:Fuller", "mine.py:ahead_of", "nonlinear"])
+def test_what_can_be_called_is_not_refused(here, named):
+    check_named(named)
+
+
+def test_what_a_function_makes_is_looked_at_too(here):
+    (here / "made.py").write_text("from mine import Short\n\n\ndef short(bench):\n    return Short(bench)\n")
+    with pytest.raises(ConfigError, match=r"made\.py:short: update\(state, reference\) cannot be called"):
+        make_own("made.py:short", make_bench_model("emulated"))
+
+
 def test_a_law_is_that_of_the_bench_for_this_run(here, capsys):
     code, _, err = run(capsys, "--controller", "nonlinear")
     assert code == 0, err
@@ -102,8 +140,9 @@ def test_a_law_is_that_of_the_bench_for_this_run(here, capsys):
 
 def test_what_it_returns_is_limited_and_checked_as_ever(here, capsys):
     code, reported, _ = run(capsys, "--controller", "mine:Lost")
-    assert code != 0
-    assert reported["error"] is not None
+    assert code == 2
+    for part in ("controller Lost", "wheel_rate_rad_s", "nan", "cycle"):
+        assert part in reported["error"]["message"]
     assert reported["held"]["state"] in ("HELD", "not needed")
 
 
@@ -120,6 +159,14 @@ RUN = ("run", "straight.py")
         (RUN, "nothing.py:Ahead", "nothing.py"),
         (RUN, "broken:Ahead", "nowhere_at_all"),
         (("live", "--duration", "1"), "mine:Ahaed", "did you mean Ahead?"),
+        (RUN, "mine.py:ahead_off", "did you mean ahead_of?"),
+        (RUN, "mine.py:TakesTwo", "TakesTwo(bench, gain) also needs gain (mine.py, line "),
+        (RUN, "mine.py:ByName", "also needs gain (mine.py, line "),
+        (
+            RUN,
+            "mine.py:Short",
+            "update(self, state, reference) cannot be called as update(state, reference, ",
+        ),
     ],
 )
 def test_a_name_that_is_wrong_is_refused_before_anything_opens(here, capsys, words, named, reported):

@@ -71,12 +71,27 @@ def test_what_was_set_over_the_file_is_distinguished_from_what_it_says(bench):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [("schema = ", "not valid TOML"), ("schema = 1\n", "name: missing")]
+    ("text", "message"),
+    [
+        ("schema = ", "not valid TOML"),
+        ("schema = 1\n", "name: missing"),
+        (GOOD + "[alignment]\nsteer_zero_rad = [5, 0, 0, 0]\n", r"alignment\.steer_zero_rad\.0: .*radians"),
+        (GOOD + "[robot]\nwheel_radius_m = -0.02\n", r"robot\.wheel_radius_m: .*list: \[-0\.02, \.\.\.\]"),
+        (GOOD + '[emulation]\nfaults = "imu:off@1"\n', r'emulation\.faults: .*list: \["imu:off@1"\]'),
+        (GOOD + "[environment]\nstart_pose = [0, 0]\n", r"environment\.start_pose\.2: .*no number 3"),
+        (GOOD + "[environment]\nstart_pose = [0, 0, 0, 0]\n", r"environment\.start_pose: .*4 .* 3 "),
+    ],
 )
 def test_broken_files_are_named(bench, text, message):
     bench.write_text(text)
     with pytest.raises(ConfigError, match=message):
         load_bench(bench)
+
+
+def test_a_byte_order_mark_does_no_harm(bench):
+    plain = load_bench(bench)
+    bench.write_text("\ufeff" + bench.read_text(encoding="utf-8"), encoding="utf-8")
+    assert load_bench(bench) == plain
 
 
 def test_unknown_sources_devices_and_overrides_are_refused(bench, tmp_path):
@@ -114,3 +129,6 @@ def test_only_bench_files_are_suggested_for_one_that_is_missing(tmp_path, monkey
     with pytest.raises(ConfigError) as missing:
         load_bench("bench.toml")
     assert missing.value.remedy == "did you mean bench_2.toml?"
+    with pytest.raises(ConfigError) as missing:
+        load_bench("nope.toml")
+    assert "did you mean" not in missing.value.remedy, "the ending alone makes no two names alike"

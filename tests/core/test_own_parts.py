@@ -115,6 +115,15 @@ def test_a_controller_that_returns_nothing_later_on_is_named_too(bench):
         run(bench, controller=Mine(None, after=9))
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["wheel_rate_rad_s", "steering_rad"])
+def test_a_controller_that_loses_itself_is_named_with_the_cycle(bench, name, value):
+    lost = replace(WheelSetpoint(FOUR, FOUR), **{name: np.array([0.0, value, 0.0, 0.0])})
+    said = rf"^controller Mine: .* whose {name} is \[0\.0, {value}, .*from cycle 9 on.*; expected finite"
+    with pytest.raises(UsageError, match=said):
+        run(bench, controller=Mine(lost, after=9))
+
+
 def state(**fields):
     return lambda known: replace(known, **fields)
 

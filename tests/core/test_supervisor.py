@@ -262,6 +262,8 @@ def test_a_steering_angle_beyond_the_limit_is_refused_on_both_sides(angle_rad):
     with pytest.raises(SafetyStop) as stop:
         limited.limit(WheelSetpoint(np.zeros(4), np.array([0.0, 0.0, angle_rad, 0.0])))
     assert stop.value.reason == "steering_limit"
+    assert "safety.steering_limit_rad" in str(stop.value)
+    assert "alignment.steer_zero_rad" in str(stop.value)
     limited.limit(WheelSetpoint(np.zeros(4), np.full(4, 2.0)))
 
 

@@ -45,6 +45,11 @@ def run(folder, line):
     return subprocess.run(["sh", "-c", line], cwd=folder, capture_output=True, text=True, timeout=600)
 
 
+def end_error_mm(text):
+    """Of the line with the verdict; other processors round otherwise, by a few micrometres in the end."""
+    return float(re.search(r"^PASS: climb\..*end error ([\d.]+) mm", text, re.M)[1])
+
+
 def test_every_block_of_code_says_where_it_is_saved():
     names = [b["name"] for b in BLOCK.finditer(TUTORIAL) if b["kind"] == "python"]
     assert names == ["climb.py", "test_climb.py"]
@@ -56,5 +61,7 @@ def test_every_block_of_code_says_where_it_is_saved():
 def test_every_line_works_in_order(folder, line, command, code):
     done = run(folder, command)
     assert done.returncode == code, f"{line}\n{done.stdout}{done.stderr}"
+    if line == "hil run climb.py":
+        assert end_error_mm(done.stdout) == pytest.approx(end_error_mm(TUTORIAL), abs=0.02), "as printed"
     if line == "hil results list":
         assert "end_error" in done.stdout

@@ -68,6 +68,7 @@ def driven(tmp_path_factory):
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
     assert f"hil: wrote {folder / 'run.rrd'} (" in err
+    assert err.index("the session ends after 2.5 s") < err.index("watched until it is held")
     return folder, json.loads(out)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hil.cli import live
 from hil.core.errors import ConfigError
 from hil.live import load_trajectory
 from hil.robot.trajectories import through
@@ -46,3 +47,15 @@ def test_a_script_that_is_no_python_is_named_with_its_line(tmp_path):
     script.write_text("x = 1\ndef trajectory(\n")
     with pytest.raises(ConfigError, match=r"way\.py: line 2: "):
         load_trajectory(script, lambda trajectory: None)
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "parts"), [(None, ["2 s"]), (3.0, ["3 s", "before"]), (20.0, ["waits"])]
+)
+def test_how_a_session_ends_is_said_as_the_drive_begins(tmp_path, capsys, duration_s, parts):
+    make, _ = load_trajectory(waypoints(tmp_path, POINTS), lambda trajectory: None)
+    made = live._announced(make, duration_s)(np.zeros(3))
+    assert made == make(np.zeros(3))
+    said = capsys.readouterr().err
+    for part in (f"{made.duration_s:.1f} s", *parts):
+        assert part in said

@@ -131,5 +131,5 @@ def test_what_cannot_be_repeated_is_named(tmp_path):
         write_plain(tmp_path / f"turn_{number}.csv", turn_and_go(rest_s=rest_s))
     with pytest.raises(ConfigError, match="2 recordings"):
         hil.open_bench("emulated_floor", overrides={"emulation.replay": str(tmp_path)})
-    with pytest.raises(DataError, match="does not exist"):
+    with pytest.raises(DataError, match=r"emulation\.replay: .*no\.csv: does not exist"):
         hil.open_bench("emulated_floor", overrides={"emulation.replay": str(tmp_path / "no.csv")})

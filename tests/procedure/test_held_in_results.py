@@ -10,6 +10,7 @@ import pytest
 from hil.bench.hold.monitor import HoldMonitor
 from hil.bench.hold.result import held_in_words
 from hil.cli import main
+from hil.cli.run import text_of
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceTimeoutError
 from hil.procedure import Measurement, procedure
@@ -78,9 +79,31 @@ def test_a_fault_that_the_run_ended_before_is_named(tmp_path, caplog, missed):
     notes = [note for note in reported["notes"] if "never acted" in note]
     assert len(notes) == len(missed)
     assert "is left" not in caplog.text
+    last = next(line for line in text_of(result).splitlines() if line.startswith("PASS"))
+    assert ("imu:off@1000" in last) == bool(missed)
     if missed:
         assert "fault imu:off@1000 never acted: the bench was closed at " in notes[0]
         assert "imu:off@1000 never acted" in write_run_page(tmp_path / "run").read_text()
+
+
+STANDS = """
+from hil.procedure import procedure
+
+@procedure(name="stands", needs=("servos",), bench="emulated_floor", measurements=())
+def run(ctx):
+    \"\"\"Looks on for a moment.\"\"\"
+    ctx.bench.observe(0.2, feedback="odometry")
+"""
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_a_pass_that_never_met_its_fault_ends_with_a_warning(tmp_path, capsys, more):
+    (tmp_path / "stands.py").write_text(STANDS)
+    words = ["run", str(tmp_path / "stands.py"), "--out", str(tmp_path / "out"), "--fault", "imu:off@1000"]
+    assert main([*words, *more]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "warning" in last
+    assert "imu:off@1000" in last
 
 
 @procedure(name="goes_on", needs=("servos",), measurements=(Measurement("seen", "1"),))

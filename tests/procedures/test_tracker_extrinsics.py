@@ -17,6 +17,7 @@ from hil.config.loading import load_bench
 from hil.core.geometry import quat_from_rotvec, quat_multiply, quat_rotate
 from hil.fakes.tracker import T265
 from hil.procedure.sample_arrays import Series
+from hil.procedures.tracker_extrinsics import headline
 from hil.procedures.tracker_extrinsics.hand_eye import Truth, intervals, solve
 
 SHORT = {"repetitions": 1, "way_m": 0.15, "turn_deg": 60.0}
@@ -144,3 +145,11 @@ def test_hand_eye_recovers_an_exact_camera_exactly():
     assert found.position_m == pytest.approx(mount_m[:2], abs=1e-5)
     assert found.angles_rad == pytest.approx([0.02, -0.03, 0.1], abs=1e-5)
     assert (found.scale, found.late_s) == pytest.approx((scale, late), abs=1e-5)
+
+
+@pytest.mark.parametrize(("before_mm", "after_mm"), [(1.8, 1.9), (9.0, 1.9)])
+def test_the_headline_claims_no_improvement_that_is_none(before_mm, after_mm):
+    values = {"mount_x": 10.0, "mount_y": 0.0, "before.position_rmse": before_mm}
+    said = headline({**values, "applied.position_rmse": after_mm})
+    assert "fell" not in said
+    assert said.index(f"{after_mm} mm") < said.index("before") < said.index(f"{before_mm} mm")
