@@ -20,7 +20,7 @@ from hil.datasets.segments import in_words, split
 from hil.datasets.truth_jumps import fastest_m_s, find_jumps
 from hil.datasets.unit_check import check_stamp_jumps, check_time, check_units, rolled_m
 from hil.datasets.unit_factors import Drive, check_rates, check_ways
-from hil.datasets.wheel_turns import whole_turns
+from hil.datasets.wheel_turns import check_steering, whole_turns
 
 FROZEN = "ground-truth rows that repeat an earlier pose while the wheels roll (a frozen source) left out"
 _ROLLED_RAD, _LITTLE_RAD = 0.08, 0.02
@@ -216,6 +216,7 @@ def _build(
         heading[by_truth],
         robot,
     )
+    check_steering(where, t_s, w[:, 4:8], angle)
     check_rates(where, t_s, angle, rate)
     return Recording(
         name=name,
