@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
+from hil.datasets.cleaning import MIN_STEP_S
 from hil.datasets.nominal_robot import Nominal, lever_m
 
 _SLOWEST_ROW_S = 0.5
@@ -20,6 +21,7 @@ _FURTHER, _FURTHER_M = 20.0, 1.0
 _TURNS_MORE, _WRAPPED_RAD = 5.0, 2.0 * np.pi
 _ROLLS_MORE, _ROLLS_M = 10.0, 0.5
 _STRIDE_S = 1.0
+_REPEATED = 0.75
 
 
 def check_time(where: str, t_s: Array) -> None:
@@ -56,6 +58,36 @@ def check_stamp_jumps(where: str, t_s: Array) -> None:
             f"time (t) leaps by {leap_s:.3g} s from one row to the next",
             expected=f"at most {_DAY_S:g} s",
             remedy="take out the rows whose stamps are damaged",
+        )
+
+
+def check_repeats(where: str, kind: str, t_s: Array, values: Array) -> None:
+    """Refuse rows of which three quarters have the stamp of another row, and other values.
+
+    Rows of one stamp are copies, and all but the first are dropped. Here they would be most of the drive:
+    stamps in whole seconds, or nanoseconds that hold milliseconds.
+
+    Args:
+        where: the file, for messages.
+        kind: name of the rows in the message.
+        t_s: (n,) stamps as in the file, s.
+        values: (n, k) values of the rows.
+
+    Raises:
+        DataError: names the number of such rows.
+    """
+    finite = np.isfinite(t_s)
+    order = np.argsort(t_s[finite], kind="stable")
+    same = np.diff(t_s[finite][order]) <= MIN_STEP_S
+    other = np.any(np.abs(np.diff(values[finite][order], axis=0)) > 0.0, axis=1)
+    repeated = int(np.count_nonzero(same & other))
+    if repeated > _REPEATED * len(t_s):
+        raise DataError(
+            where,
+            f"{repeated} of {len(t_s)} {kind} rows have the stamp of another row, and other values",
+            expected="a stamp of its own for each row",
+            remedy="look at the digits and the unit of the stamps: whole seconds are too coarse, and "
+            "nanoseconds must not hold milliseconds",
         )
 
 

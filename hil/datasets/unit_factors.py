@@ -176,8 +176,8 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
 
     A wheel counts if it turns at 0.2 rad/s or more, by angle or rate, in at least three stretches: a register
     that counts in steps is inaccurate at lower speeds. It disagrees if seven tenths of them are off by a
-    factor of two or more, or have the opposite sign, or if as many are off by the same factor, from 1.2 on. If
-    all wheels have the opposite sign, `hil.datasets.wrong_signs` reports it. An angle that stands still for a
+    factor of two or more, or have the opposite sign, or if as many are off by one factor, from 1.2 on. If all
+    wheels have the opposite sign, `hil.datasets.wrong_signs` reports it. An angle that stands still for a
     second while its rate goes on is a stuck encoder.
 
     Args:

@@ -192,8 +192,8 @@ def check_steering(where: str, t_s: Array, steering: Array, angle: Array) -> Non
         raise DataError(
             where,
             f"the steering angle delta{i + 1} leaps by {moved[k, i]:.2f} rad within "
-            f"{t_s[k + 1] - t_s[k]:.3g} s, {t_s[k] - t_s[0]:.2f} s after its begin, while the wheels roll: no "
-            "steering is that fast",
+            f"{t_s[k + 1] - t_s[k]:.3g} s, {t_s[k] - t_s[0]:.2f} s after its begin, while the wheels roll: "
+            "no steering is that fast",
             expected="angles that the servos measured in that row",
             remedy="delete the damaged rows, leave the recording out, or cut it there",
         )

@@ -192,6 +192,39 @@ def test_each_repair_is_counted():
     assert len(recording.warnings()) == 6
 
 
+@pytest.mark.parametrize("stamp_s", [-5.0, 1000.0, 3.301])
+def test_a_row_with_a_stamp_far_from_those_beside_it_is_dropped_and_named(stamp_s):
+    """It would be the start, the end, or a wheel that leaps."""
+    t, wheels, truth = logs()
+    spoilt = t.copy()
+    spoilt[50] = stamp_s
+    recording = build_recording("run", Log(spoilt, wheels), Log(spoilt, truth))
+    assert len(recording.t_s) == len(recording.truth_t_s) == len(t) - 1
+    np.testing.assert_array_equal(recording.t_s, np.delete(t, 50))
+    (by_truth, by_wheels) = sorted(recording.repairs)
+    assert (
+        by_wheels == "wheel rows stamped far from the rows beside them dropped (first 0.98 s after its begin)"
+    )
+    assert by_truth.startswith("ground-truth rows stamped far")
+
+
+def test_a_row_that_comes_late_is_sorted_where_it_is_missing():
+    t, wheels, truth = logs()
+    order = np.insert(np.delete(np.arange(len(t)), 20), 150, 20)
+    recording = build_recording("run", Log(t[order], wheels[order]), Log(t, truth))
+    np.testing.assert_array_equal(recording.t_s, t)
+    assert recording.repairs == {"wheel stamps out of order sorted": 1}
+
+
+def test_rows_that_vanish_behind_one_stamp_are_refused(tmp_path):
+    """Nanoseconds that hold milliseconds, or whole seconds: a hundredth of the rows would be left."""
+    t, wheels, truth = logs(2000)
+    with pytest.raises(DataError, match=r"^run: 19\d\d of 2000 wheel rows have the stamp of another row"):
+        build_recording("run", Log(np.floor(t), wheels), Log(t, truth))
+    twice = np.repeat(np.arange(len(t)), 5)
+    assert len(build_recording("run", Log(t[twice], wheels[twice]), Log(t, truth)).t_s) == len(t)
+
+
 def test_wrapped_heading_is_unwrapped():
     t, wheels, truth = logs()
     truth[:, 2] = np.angle(np.exp(1j * 3.0 * t))
