@@ -278,6 +278,53 @@ def test_bad_files_are_named(tmp_path):
         read_recordings([tmp_path / "void"])
 
 
+def spoilt_header(tmp_path, run, spoil):
+    path = tmp_path / "line_x_1.csv"
+    write_plain(path, run)
+    header, _, rows = path.read_bytes().partition(b"\r\n")
+    path.write_bytes(spoil(header) + b"\r\n" + rows)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda line: line.replace(b"phi1", b"PHI1"),
+            r"lacks the columns phi1 \(it has PHI1 in place of phi1\)",
+        ),
+        (lambda line: b"# my data\r\n" + line, r"first line holds no names of columns: '# my data.*delete"),
+        (lambda line: b"# L\xe4nge\r\n" + line, "first line is not UTF-8 text: '# Länge.*save it as UTF-8"),
+        (lambda line: line.replace(b"theta", b"th\xeata"), "first line is not UTF-8 text: .*thêta"),
+        (lambda line: b"0,1,2,3", r"first line holds no names of columns: '0,1,2,3"),
+    ],
+)
+def test_what_the_first_line_holds_in_place_of_the_names_is_said(tmp_path, run, spoil, said):
+    with pytest.raises(DataError, match=r"line_x_1\.csv: .*" + said):
+        read_plain(spoilt_header(tmp_path, run, spoil))
+
+
+def test_names_in_quotes_and_foreign_columns_in_other_text_are_read(tmp_path, run):
+    """As R writes them."""
+    quoted = spoilt_header(tmp_path, run, lambda line: b'"' + line.replace(b",", b'","') + b'"')
+    assert len(read_plain(quoted).t_s) == len(run.t_s)
+    lines = quoted.read_bytes().splitlines()
+    quoted.write_bytes(b"\n".join([lines[0] + b",L\xe4nge", *(line + b",1" for line in lines[1:])]))
+    assert len(read_plain(quoted).t_s) == len(run.t_s)
+
+
+def test_columns_that_are_not_read_are_named_where_wheel_angles_are_missing(tmp_path, run):
+    (what,) = (
+        what
+        for what in read_plain(
+            spoilt_header(tmp_path, run, lambda line: line.replace(b"phi", b"wheel"))
+        ).repairs
+        if "missing" in what
+    )
+    assert "phi1, phi2, phi3, phi4" in what
+    assert "wheel1, wheel2, wheel3, wheel4" in what
+
+
 def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path, compress=True)
     odom, absolute = tmp_path / "odom_3.csv.gz", tmp_path / "abs_3.csv.gz"
