@@ -18,6 +18,9 @@ _STAMPED_S = 1.0
 _DIPS, _MOST_DIPS = 2.0, 0.02
 _FAR_S, _REGULAR, _BESIDE = 1.0, 1.5, 3.0
 """A stamp is far off from 1 s on; times between rows, as multiples of the typical one, without a gap."""
+UNIT_QUATERNION = (0.9, 1.1)
+"""Range of the squared norm of a quaternion that counts as a rotation."""
+NO_HEADING = "ground-truth poses left out because their quaternion is no rotation, so no heading"
 INTEGRATED = (
     "wheels whose angles are integrated from their rates, with their errors: a fit takes these for radii"
 )

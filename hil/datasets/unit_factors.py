@@ -56,6 +56,7 @@ _WAYS = (
     _Unit("phi", "steps of 4096 a turn", 2.0 * np.pi / 4096.0),
     _Unit("x, y", "millimetres", 1e-3),
     _Unit("x, y", "centimetres", 1e-2),
+    _Unit("x, y", "inches", 0.0254),
     _Unit("theta", "degrees", np.pi / 180.0),
     _Unit("theta", "revolutions", 2.0 * np.pi),
 )

@@ -112,13 +112,44 @@ def test_a_counter_of_revolutions_that_wraps_is_named_too(circle):
         build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose))
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "millimetres"), (1e2, "centimetres")])
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e3, "millimetres"), (1e2, "centimetres"), (1 / 0.0254, "inches")]
+)
 def test_positions_in_another_unit_are_named(circle, factor, unit):
     t_s, wheels, truth_t_s, pose = circle
     with pytest.raises(
         DataError, match=rf"positions \(x, y\) seem to be in {unit}.*multiply x, y by {1 / factor:g}"
     ):
         build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose * (factor, factor, 1.0)))
+
+
+@pytest.mark.parametrize(("factor", "column"), [((1e3, 1.0, 1.0), "x"), ((1.0, 1e3, 1.0), "y")])
+def test_one_position_in_another_unit_is_named_alone(circle, factor, column):
+    t_s, wheels, truth_t_s, pose = circle
+    with pytest.raises(
+        DataError, match=rf"moved .* by ground truth \({column}\).*convert {column} to metres"
+    ):
+        build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose * factor))
+
+
+def quantized(steering):
+    """Angles as counters of 4096 a turn have them."""
+    count = 2.0 * np.pi / 4096.0
+    return np.round(steering / count) * count
+
+
+def test_steering_in_degrees_that_stays_small_is_known_by_its_counts(turn):
+    """On a line it is some hundredths of a radian, in degrees within any limit."""
+    t_s, wheels, truth_t_s, pose = turn
+    wheels = np.array(wheels)
+    wheels[:, 4:8] = quantized(0.008 * np.sin(t_s[:, None] + np.arange(4)))
+    log, truth = Log(t_s, wheels), Log(truth_t_s, pose)
+    assert len(build_recording("run", log, truth).t_s)
+    zeros = np.array([0.0, 0.2, -0.3, 0.1])
+    for spoilt in (np.degrees(wheels[:, 4:8]), np.round(np.degrees(wheels[:, 4:8]) + zeros, 6)):
+        wheels = np.column_stack([wheels[:, :4], spoilt])
+        with pytest.raises(DataError, match=r"steering angles \(delta\) seem to be in degrees"):
+            build_recording("run", Log(t_s, wheels), truth)
 
 
 def test_a_turn_of_a_mark_far_from_the_middle_is_no_other_unit(turn):

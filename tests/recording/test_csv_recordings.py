@@ -8,7 +8,7 @@ import pytest
 from hil.calibration.synthetic import hidden_robot, simulate
 from hil.core.errors import DataError
 from hil.datasets import number_table
-from hil.datasets.cleaning import Log, increasing
+from hil.datasets.cleaning import NO_HEADING, Log, increasing
 from hil.datasets.dataset import build_recording
 from hil.datasets.plain_csv import read_plain, write_plain
 from hil.datasets.public_csv import read_pair
@@ -340,6 +340,21 @@ def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path / "c", columns=False)
     with pytest.raises(DataError, match="lacks the columns"):
         read_recordings([tmp_path / "c"])
+
+
+@pytest.mark.parametrize("quaternion", ["0;0;0;0", "0;0;0;2"])
+def test_public_pairs_without_a_heading_are_refused_and_single_rows_left_out(tmp_path, quaternion):
+    write_pair(tmp_path)
+    absolute = tmp_path / "abs_3.csv"
+    lines = absolute.read_text().splitlines()
+    spoilt = [line.removesuffix("0;0;0;1") + quaternion for line in lines]
+    absolute.write_text("\n".join([*lines[:50], *spoilt[50:60], *lines[60:]]) + "\n")
+    (found,) = read_recordings([tmp_path])
+    assert found.repairs[NO_HEADING] == 10
+    assert len(found.truth_t_s) == 190
+    absolute.write_text("\n".join([lines[0], *spoilt[1:]]) + "\n")
+    with pytest.raises(DataError, match=r"abs_3\.csv: none of 200 rows holds a heading"):
+        read_recordings([tmp_path])
 
 
 def test_the_public_recordings_are_classified_and_read_whole(public_data):
