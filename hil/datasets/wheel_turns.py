@@ -33,6 +33,7 @@ _TIMES_NEAR, _HUNG_S = 2.5, 1.0
 """Margin for steps of less than half a turn, and longest time for which a servo may repeat its last angle."""
 _STEERED_RAD_S, _STEERED_RAD = 20.0, 0.5
 """Four times the speed of the fastest steering recorded, and a margin for coarse counters."""
+_TOGETHER_RAD = 0.1
 _BESIDE_S = 0.1
 
 
@@ -164,10 +165,12 @@ def _since_s(t_s: Array, changed: Bools) -> Array:
 
 
 def check_steering(where: str, t_s: Array, steering: Array, angle: Array) -> None:
-    """Refuse steering angles that leap while the wheels roll.
+    """Refuse steering angles of single wheels that leap while the wheels roll.
 
     A leap is faster than 20 rad/s since the last row in which any angle changed, and more than 0.5 rad. Whole
-    turns do not count, and neither do leaps while the wheels stand: no way is computed from them.
+    turns do not count, and neither do leaps while the wheels stand: no way is computed from them. Where all
+    four wheels are steered in one row, the angles are those of a simulation, or commands, and are taken as
+    they are.
 
     Args:
         where: the file, for messages.
@@ -183,6 +186,7 @@ def check_steering(where: str, t_s: Array, steering: Array, angle: Array) -> Non
     changed = np.any(np.diff(np.hstack([steering, angle]), axis=0) != 0.0, axis=1, keepdims=True)
     since_s = np.maximum(_since_s(t_s, changed), np.median(np.diff(t_s)))
     leaps = np.abs(moved) > _STEERED_RAD_S * since_s + _STEERED_RAD
+    leaps[np.min(np.abs(moved), axis=1) > _TOGETHER_RAD] = False
     for k in np.flatnonzero(leaps.any(axis=1)).tolist():
         around_s = (t_s[k] - _BESIDE_S, t_s[k + 1] + _BESIDE_S)
         rolled = np.diff([np.interp(around_s, t_s, column) for column in angle.T])

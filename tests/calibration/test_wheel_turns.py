@@ -173,12 +173,12 @@ def test_steering_that_leaps_while_the_wheels_roll_is_named(rows):
         steered(spoil)
 
 
-def test_steering_may_leap_at_rest_turn_fast_or_wrap():
+def test_steering_may_leap_at_rest_or_as_one_turn_fast_or_wrap():
     def spoil(t, steering):
-        steering[:] = np.where(t < 0.5, 1.57, 0.0)[:, None]
+        steering[:] = (np.where(t < 0.5, 1.57, 0.0) - 1.57 * (t >= 6.0))[:, None]
         steering[:, 1] += 3.1 + 0.08 * np.sin(20.0 * t)
         steering[:, 1] = np.angle(np.exp(1j * steering[:, 1]))
-        steering[:, 3] = np.interp(t, [0.0, 6.0, 6.2, 14.0], [0.0, 0.0, 1.5, 1.5])
+        steering[:, 3] += np.interp(t, [0.0, 8.0, 8.2, 14.0], [0.0, 0.0, 1.5, 1.5])
 
     assert len(steered(spoil).t_s) == 700
 
