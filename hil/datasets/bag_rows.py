@@ -19,12 +19,10 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools, quat_conjugate, quat_multiply, quat_rotate, yaw_of_quat
 from hil.core.interpolation import between_samples
+from hil.datasets.cleaning import NO_HEADING, UNIT_QUATERNION
 from hil.datasets.plain_csv import TRUTH_GAP_S
 from hil.datasets.topic_map import TruthTopic
 
-_UNIT = (0.9, 1.1)
-"""Range of the squared norm of a quaternion that counts as a rotation."""
-_NO_HEADING = "ground-truth messages left out because their quaternion is no rotation, so no heading"
 _UNKNOWN = "ground-truth messages left out because a covariance of -1 marks their pose as unknown"
 _PLANAR = (0, 7, 35)
 """Indices of the variances of x, y and the turn about z; `_PLANAR_Y_UP`: in a frame whose y axis is up."""
@@ -46,7 +44,7 @@ class TruthPoses:
         self._back = quat_conjugate(topic.mount_rotation_wxyz)
         self._known: list[bool] = []
         self._poses: list[list[float]] = []
-        self._repairs = dict.fromkeys((_NO_HEADING, _UNKNOWN), 0)
+        self._repairs = dict.fromkeys((NO_HEADING, _UNKNOWN), 0)
 
     def add(self, message: Any) -> None:
         """Add the pose of a message."""
@@ -56,8 +54,8 @@ class TruthPoses:
         lacking = ""
         if spread is not None and any(spread[k] == -1.0 for k in (_PLANAR_Y_UP if self._y_up else _PLANAR)):
             lacking = _UNKNOWN
-        elif not _UNIT[0] < q.w**2 + q.x**2 + q.y**2 + q.z**2 < _UNIT[1]:
-            lacking = _NO_HEADING
+        elif not UNIT_QUATERNION[0] < q.w**2 + q.x**2 + q.y**2 + q.z**2 < UNIT_QUATERNION[1]:
+            lacking = NO_HEADING
         self._known.append(not lacking)
         if lacking:
             self._repairs[lacking] += 1

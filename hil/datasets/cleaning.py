@@ -11,11 +11,16 @@ from hil.core.geometry import Array, Bools
 from hil.datasets.truth_jumps import Rows
 
 _GAP_S, _GAPS_LONGER = 0.1, 1.5
-_MIN_STEP_S = 1e-6
+MIN_STEP_S = 1e-6
 _CREDIBLE = 1e12
 _ROLLED_RAD = 0.5
 _STAMPED_S = 1.0
 _DIPS, _MOST_DIPS = 2.0, 0.02
+_FAR_S, _REGULAR, _BESIDE = 1.0, 1.5, 3.0
+"""A stamp is far off from 1 s on; times between rows, as multiples of the typical one, without a gap."""
+UNIT_QUATERNION = (0.9, 1.1)
+"""Range of the squared norm of a quaternion that counts as a rotation."""
+NO_HEADING = "ground-truth poses left out because their quaternion is no rotation, so no heading"
 INTEGRATED = (
     "wheels whose angles are integrated from their rates, with their errors: a fit takes these for radii"
 )
@@ -46,7 +51,7 @@ def count_gaps(repairs: dict[str, int], t_s: Array, what: str) -> None:
     """Count gaps in stamps (n,), s: steps over 0.1 s that are clearly longer than the median step."""
     lasts_s = np.diff(t_s)
     gap_s = max(_GAP_S, round(_GAPS_LONGER * float(np.median(lasts_s)), 2))
-    count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + _MIN_STEP_S))
+    count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + MIN_STEP_S))
 
 
 def emptiest(log: Log, names: tuple[str, ...]) -> str:
@@ -78,12 +83,20 @@ def clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Ar
     count(repairs, f"{kind} rows without numbers dropped", np.count_nonzero(~good & ~unstamped))
     good &= ~unstamped
     t_s, values, receive_s = t_s[good], values[good], receive_s[good]
+    if len(misplaced := far_stamps(t_s)):
+        at_s = t_s[misplaced[0] - 1] - t_s.min(where=_all_but(t_s, misplaced), initial=np.inf)
+        what = (
+            f"{kind} rows stamped far from the rows beside them dropped (first {at_s:.2f} s after its begin)"
+        )
+        count(repairs, what, len(misplaced))
+        kept = _all_but(t_s, misplaced)
+        t_s, values, receive_s = t_s[kept], values[kept], receive_s[kept]
     if len(t_s) == 0:
         return t_s, values, receive_s
     count(repairs, f"{kind} stamps out of order sorted", np.count_nonzero(np.diff(t_s) < 0))
     order = np.argsort(t_s, kind="stable")
     t_s, values, receive_s = t_s[order], values[order], receive_s[order]
-    keep = np.concatenate([[True], np.diff(t_s) > _MIN_STEP_S])
+    keep = np.concatenate([[True], np.diff(t_s) > MIN_STEP_S])
     count(repairs, f"{kind} rows with a repeated stamp dropped", np.count_nonzero(~keep))
     t_s, values, receive_s = t_s[keep], values[keep], receive_s[keep]
     return t_s, values, increasing(receive_s)
@@ -105,6 +118,31 @@ def without_stamp(t_s: Array) -> Bools:
     if len(dips(t_s)) > most_dips(t_s):
         return out
     out[1:-1] = (t_s[1:-1] == 0.0) & (t_s[:-2] > _STAMPED_S) & (t_s[2:] > _STAMPED_S)
+    return out
+
+
+def far_stamps(t_s: Array) -> Rows:
+    """Indices of single rows, of (n,), whose stamps are more than 1 s off those of the rows beside them.
+
+    A row that came late has its place at its stamp, where a row is missing. A damaged stamp has none: other
+    rows are there, or all others are later or earlier.
+    """
+    if len(t_s) < 3 or len(dips(t_s)) > most_dips(t_s):
+        return np.empty(0, dtype=np.int_)
+    typical_s = float(np.median(np.abs(np.diff(t_s))))
+    before, own, after = t_s[:-2], t_s[1:-1], t_s[2:]
+    beside = (after > before) & (after - before <= _BESIDE * typical_s)
+    far = np.flatnonzero(beside & ((own < before - _FAR_S) | (own > after + _FAR_S))) + 1
+    others = np.sort(t_s[_all_but(t_s, far)])
+    at = np.searchsorted(others, t_s[far])
+    earlier, later = others[np.maximum(at - 1, 0)], others[np.minimum(at, len(others) - 1)]
+    return np.asarray(far[later - earlier <= _REGULAR * typical_s], dtype=np.int_)
+
+
+def _all_but(t_s: Array, rows: Rows) -> Bools:
+    """Mask of the rows (n,) without some of them."""
+    out = np.ones(len(t_s), dtype=np.bool_)
+    out[rows] = False
     return out
 
 
@@ -143,5 +181,5 @@ def credible(values: Array) -> Array:
 
 def increasing(t_s: Array) -> Array:
     """Stamps (n,), s, made strictly increasing: each at least 1 us after its predecessor."""
-    step = np.arange(len(t_s)) * _MIN_STEP_S
+    step = np.arange(len(t_s)) * MIN_STEP_S
     return np.asarray(np.maximum.accumulate(t_s - step) + step, dtype=np.float64)

@@ -18,9 +18,9 @@ from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recor
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.segments import in_words, split
 from hil.datasets.truth_jumps import fastest_m_s, find_jumps
-from hil.datasets.unit_check import check_stamp_jumps, check_time, check_units, rolled_m
+from hil.datasets.unit_check import check_repeats, check_stamp_jumps, check_time, check_units, rolled_m
 from hil.datasets.unit_factors import Drive, check_rates, check_ways
-from hil.datasets.wheel_turns import whole_turns
+from hil.datasets.wheel_turns import check_steering, whole_turns
 
 FROZEN = "ground-truth rows that repeat an earlier pose while the wheels roll (a frozen source) left out"
 _ROLLED_RAD, _LITTLE_RAD = 0.08, 0.02
@@ -157,6 +157,8 @@ def _build(
 ) -> Recording:
     """One recording from logs without steps back; see `build_recording`."""
     check_time(where, wheels.t_s)
+    for kind, log in (("wheel", wheels), ("ground-truth", truth)):
+        check_repeats(where, kind, log.t_s, log.values)
     t_s, w, receive_s = clean(with_angles(wheels, repairs), 8, "wheel", repairs)
     truth_t_s, pose, truth_receive_s = clean(truth, 3, "ground-truth", repairs)
     if len(t_s) < _MIN_ROWS:
@@ -216,6 +218,7 @@ def _build(
         heading[by_truth],
         robot,
     )
+    check_steering(where, t_s, w[:, 4:8], angle)
     check_rates(where, t_s, angle, rate)
     return Recording(
         name=name,

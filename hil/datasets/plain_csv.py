@@ -1,7 +1,7 @@
 """Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file per run, SI units.
 
-Ground truth may be empty or NaN in any row, and so may the wheels where there is ground truth. The motion is
-the file name without the repetition number `_K`.
+Names of columns may be in quotes. Ground truth may be empty or NaN in any row, and so may the wheels where
+there is ground truth. The motion is the file name without the repetition number `_K`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from hil.datasets.sampling import truth_at
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
 RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
+_NEEDED = ("t", *WHEEL_COLUMNS, *TRUTH_COLUMNS)
+_ANGLES = WHEEL_COLUMNS[:4]
 _SHOWN = 40
 _MCAP = b"\x89MCAP"
 """First bytes of every MCAP file."""
@@ -43,13 +45,11 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     data = read_bytes(path)
     header, _, body = data.partition(b"\n")
     _check_text(path, data, header)
-    columns = [c.strip() for c in header.decode("utf-8", "replace").lstrip("\ufeff").split(",")]
-    needed = ("t", *WHEEL_COLUMNS, *TRUTH_COLUMNS)
+    first_line = header.decode("utf-8", "replace").lstrip("\ufeff").rstrip("\r")
+    columns = [name.strip() for name in next(csv.reader([first_line]), [])]
     rates = all(c in columns for c in RATE_COLUMNS)
-    missing = [c for c in needed if c not in columns and not (rates and c in WHEEL_COLUMNS[:4])]
-    if missing:
-        raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=",".join(needed))
-    twice = [c for c in (*needed, *RATE_COLUMNS) if columns.count(c) > 1]
+    _check_complete(path, header, columns)
+    twice = [c for c in (*_NEEDED, *RATE_COLUMNS) if columns.count(c) > 1]
     if twice:
         raise DataError(
             str(path),
@@ -60,8 +60,11 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     table = _table(path, data, body, columns)
     if len(table) == 0:
         raise DataError(str(path), "has a header but no rows")
-    if not set(WHEEL_COLUMNS) <= set(columns):
-        absent = [c for c in WHEEL_COLUMNS if c not in columns]
+    lacking = dict[str, int]()
+    if absent := [c for c in WHEEL_COLUMNS if c not in columns]:
+        others = [c for c in columns if c and c not in (*_NEEDED, *RATE_COLUMNS)]
+        beside = f", which also holds columns that are not read: {', '.join(others)}" if others else ""
+        lacking = {f"columns of wheel angles ({', '.join(absent)}) missing in the file{beside}": len(absent)}
         columns += absent
         table = np.column_stack([table, np.full((len(table), len(absent)), np.nan)])
     wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
@@ -78,7 +81,38 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
         sources=(str(path),),
         sha256=(hashlib.sha256(data).hexdigest(),),
         nominal=nominal,
+        repairs=lacking,
     )
+
+
+def _check_complete(path: Path, header: bytes, columns: list[str]) -> None:
+    """Raise `DataError` for missing columns; says what the first line holds in their place.
+
+    The wheel angles may be missing as a whole where all wheel rates are there.
+    """
+    rates = all(c in columns for c in RATE_COLUMNS) and not any(c in columns for c in _ANGLES)
+    missing = [c for c in _NEEDED if c not in columns and not (rates and c in _ANGLES)]
+    if not missing:
+        return
+    line, bad = header.decode("latin-1"), header.decode("utf-8", "replace").find("\ufffd")
+    if bad >= 0:
+        raise DataError(
+            str(path),
+            f"its first line is not UTF-8 text: {line[max(0, bad - _SHOWN // 2) :][:_SHOWN]!r}",
+            expected=",".join(_NEEDED),
+            remedy="save it as UTF-8, with the names of the columns in its first line",
+        )
+    if len(missing) == len(_NEEDED):
+        raise DataError(
+            str(path),
+            f"its first line holds no names of columns: {line[:_SHOWN]!r}",
+            expected=",".join(_NEEDED),
+            remedy="delete the lines before the names, or add the names",
+        )
+    alike = {c.lower(): c for c in columns}
+    others = [f"{alike[c]} in place of {c}" for c in missing if c in alike]
+    found = f" (it has {', '.join(others)})" if others else ""
+    raise DataError(str(path), f"lacks the columns {', '.join(missing)}{found}", expected=",".join(_NEEDED))
 
 
 def _check_text(path: Path, data: bytes, header: bytes) -> None:

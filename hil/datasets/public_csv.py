@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.core.errors import DataError
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.core.signals import WHEELS
-from hil.datasets.cleaning import Log, credible
+from hil.datasets.cleaning import NO_HEADING, UNIT_QUATERNION, Log, count, credible
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
@@ -97,6 +97,10 @@ def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Rec
     position, velocity = wheel_rows[:, 9:17][:, order], wheel_rows[:, 17:25][:, order]
     wheels = np.column_stack([position, velocity[:, :4]])
     truth_rows = _abs_numbers(absolute, truth_bytes)
+    turned = _rotations(absolute, truth_rows)
+    repairs = dict[str, int]()
+    count(repairs, NO_HEADING, np.count_nonzero(~turned))
+    truth_rows = truth_rows[turned]
     qx, qy, qz, qw = truth_rows[:, 12:16].T
     yaw = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     truth = np.column_stack([truth_rows[:, 9], truth_rows[:, 10], yaw])
@@ -107,6 +111,27 @@ def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Rec
         sources=(str(odom), str(absolute)),
         sha256=tuple(hashlib.sha256(b).hexdigest() for b in (wheel_bytes, truth_bytes)),
         nominal=nominal,
+        repairs=repairs,
+    )
+
+
+def _rotations(path: Path, rows: Array) -> Bools:
+    """Mask of ground-truth rows (n, 16) whose quaternion is a rotation; unreadable rows count as such.
+
+    Raises:
+        DataError: no row holds a heading.
+    """
+    size = np.sum(rows[:, 12:16] ** 2, axis=1)
+    out = np.asarray(~np.isfinite(size) | ((size > UNIT_QUATERNION[0]) & (size < UNIT_QUATERNION[1])))
+    wrong = np.flatnonzero(~out)
+    if len(wrong) < np.count_nonzero(np.isfinite(size)) or not len(wrong):
+        return out
+    shown = ", ".join(f"{q:.3g}" for q in rows[wrong[0], 12:16])
+    raise DataError(
+        str(path),
+        f"none of {len(rows)} rows holds a heading: .pose.orientation is no rotation (the first: {shown})",
+        expected="unit quaternions of a rigid body: odometry cannot be compared with positions alone",
+        remedy="let the capture system track a rigid body of three markers, and record its pose",
     )
 
 

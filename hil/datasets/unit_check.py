@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
+from hil.datasets.cleaning import MIN_STEP_S
 from hil.datasets.nominal_robot import Nominal, lever_m
 
 _SLOWEST_ROW_S = 0.5
@@ -20,6 +21,8 @@ _FURTHER, _FURTHER_M = 20.0, 1.0
 _TURNS_MORE, _WRAPPED_RAD = 5.0, 2.0 * np.pi
 _ROLLS_MORE, _ROLLS_M = 10.0, 0.5
 _STRIDE_S = 1.0
+_REPEATED = 0.75
+_COUNT_DEG, _COUNTS, _COUNT_OFF = 360.0 / 4096.0, 3, 2e-3
 
 
 def check_time(where: str, t_s: Array) -> None:
@@ -59,12 +62,42 @@ def check_stamp_jumps(where: str, t_s: Array) -> None:
         )
 
 
+def check_repeats(where: str, kind: str, t_s: Array, values: Array) -> None:
+    """Refuse rows of which three quarters have the stamp of another row, and other values.
+
+    Rows of one stamp are copies, and all but the first are dropped. Here they would be most of the drive:
+    stamps in whole seconds, or nanoseconds that hold milliseconds.
+
+    Args:
+        where: the file, for messages.
+        kind: name of the rows in the message.
+        t_s: (n,) stamps as in the file, s.
+        values: (n, k) values of the rows.
+
+    Raises:
+        DataError: names the number of such rows.
+    """
+    finite = np.isfinite(t_s)
+    order = np.argsort(t_s[finite], kind="stable")
+    same = np.diff(t_s[finite][order]) <= MIN_STEP_S
+    other = np.any(np.abs(np.diff(values[finite][order], axis=0)) > 0.0, axis=1)
+    repeated = int(np.count_nonzero(same & other))
+    if repeated > _REPEATED * len(t_s):
+        raise DataError(
+            where,
+            f"{repeated} of {len(t_s)} {kind} rows have the stamp of another row, and other values",
+            expected="a stamp of its own for each row",
+            remedy="look at the digits and the unit of the stamps: whole seconds are too coarse, and "
+            "nanoseconds must not hold milliseconds",
+        )
+
+
 def check_units(
     where: str, angle: Array, steering: Array, truth_t_s: Array, pose: Array, heading: Array, nominal: Nominal
 ) -> None:
     """Refuse angles that are not in radians and positions that are not in metres.
 
-    * Steering stays within the robot's limit, with 80 deg of margin.
+    * Steering stays within the robot's limit, with 80 deg of margin, and is not in counts of degrees.
     * The robot moves at most 20 times as far as its wheels roll, plus 1 m: millimetres are 1000 times.
     * It turns at most 5 times as far as its wheels can roll around its middle, since no wheel is so wrong,
       plus one turn, by which a wrapped heading may jump: degrees are 57 times. The heading is taken as in the
@@ -92,14 +125,25 @@ def check_units(
             expected=f"rad, within +-{np.degrees(limit_rad):.0f} deg",
             remedy="convert degrees to radians",
         )
-    way_m = rolled_m(angle, nominal.radius_m)
-    span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))
-    if span_m > _FURTHER * way_m + _FURTHER_M:
+    if _in_degree_counts(steering):
         raise DataError(
             where,
-            f"the robot moved {span_m:.3g} by ground truth (x, y) while its wheels rolled {way_m:.3g} m",
-            expected="positions in m",
-            remedy="convert millimetres to metres",
+            "steering angles (delta) seem to be in degrees: all are multiples of a 4096th of 360",
+            expected="rad",
+            remedy="multiply delta by 0.0174533",
+        )
+    way_m = rolled_m(angle, nominal.radius_m)
+    span_m = np.ptp(pose[:, :2], axis=0)
+    if np.max(span_m) > _FURTHER * way_m + _FURTHER_M:
+        names = " and ".join(
+            n for n, m in zip("xy", span_m, strict=True) if m > _FURTHER * way_m + _FURTHER_M
+        )
+        raise DataError(
+            where,
+            f"the robot moved {np.max(span_m):.3g} by ground truth ({names}) while its wheels rolled "
+            f"{way_m:.3g} m",
+            expected="x and y in m",
+            remedy=f"convert {names} to metres: from millimetres by 0.001, from inches by 0.0254",
         )
     lever = lever_m(nominal.geometry)
     turned = float(np.ptp(np.percentile(heading, (1.0, 99.0))))
@@ -119,6 +163,18 @@ def check_units(
             expected="positions in m and wheel angles in rad",
             remedy="check the units of both: degrees and millimetres must be converted",
         )
+
+
+def _in_degree_counts(steering: Array) -> bool:
+    """Whether steering angles (n, 4) move by whole counts of 4096 a turn in degrees, by three or more.
+
+    Servos of this kind measure multiples of 0.00153 rad. Of those, in radians, one in 57 would be such a
+    number.
+    """
+    counts = (steering - steering[0]) / _COUNT_DEG
+    whole = np.round(counts)
+    distinct = max(len(np.unique(column)) for column in whole.T)
+    return distinct > _COUNTS and bool(np.max(np.abs(counts - whole)) < _COUNT_OFF)
 
 
 def rolled_m(angle: Array, radius_m: float) -> float:

@@ -26,6 +26,9 @@ _WRONG, _RIGHT = float(np.log(2.5)), float(np.log(1.5))
 _FEWEST = 3
 _SLOWEST_RAD_S = 0.2
 _DISAGREE, _SAME_UNIT = float(np.log(2.0)), 0.2
+_SCALED, _STEADY = float(np.log(1.2)), float(np.log(1.1))
+"""Least factor of rates that is named where it is steady, and by how much a steady factor varies."""
+_STILL_RAD, _STILL_STRETCHES, _CAUGHT_UP = 0.01, 2, 0.5
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ _WAYS = (
     _Unit("phi", "steps of 4096 a turn", 2.0 * np.pi / 4096.0),
     _Unit("x, y", "millimetres", 1e-3),
     _Unit("x, y", "centimetres", 1e-2),
+    _Unit("x, y", "inches", 0.0254),
     _Unit("theta", "degrees", np.pi / 180.0),
     _Unit("theta", "revolutions", 2.0 * np.pi),
 )
@@ -173,8 +177,9 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
 
     A wheel counts if it turns at 0.2 rad/s or more, by angle or rate, in at least three stretches: a register
     that counts in steps is inaccurate at lower speeds. It disagrees if seven tenths of them are off by a
-    factor of two or more, or have the opposite sign. If all wheels have the opposite sign,
-    `hil.datasets.wrong_signs` reports it.
+    factor of two or more, or have the opposite sign, or if as many are off by one factor, from 1.2 on. If all
+    wheels have the opposite sign, `hil.datasets.wrong_signs` reports it. An angle that stands still for a
+    second while its rate goes on is a stuck encoder.
 
     Args:
         where: the file, for messages.
@@ -190,11 +195,14 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
     edges_s = np.arange(t_s[0], t_s[-1], _STRETCH_S)
     way = np.vstack([np.zeros(4), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None], axis=0)])
     pairs = (np.diff([np.interp(edges_s, t_s, c) for c in columns.T]) for columns in (angle, way))
-    ratios = [_ratios(by_angle, by_rate) for by_angle, by_rate in zip(*pairs, strict=True)]
+    turns = list(zip(*pairs, strict=True))
+    for i, (by_angle, by_rate) in enumerate(turns):
+        _check_stuck(where, i, by_angle, by_rate)
+    ratios = [_ratios(by_angle, by_rate) for by_angle, by_rate in turns]
     counted = [r for r in ratios if len(r)]
     if counted and all(np.median(r) < 0.0 for r in counted):
         return
-    wrong = [i for i, r in enumerate(ratios) if len(r) and np.mean(_agrees(r)) <= 1.0 - _MOST]
+    wrong = [i for i, r in enumerate(ratios) if len(r) and (np.mean(_agrees(r)) <= 1.0 - _MOST or _scaled(r))]
     if not wrong:
         return
     factor = float(np.median(np.concatenate([ratios[i] for i in wrong])))
@@ -203,7 +211,8 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
     if unit is None:
         raise DataError(
             where,
-            f"wheel rates ({names}) disagree with the wheel angles (phi): {factor:.3g} times their rates",
+            f"wheel rates ({names}) disagree with the wheel angles (phi): {factor:.3g} times the rate at "
+            "which those grow",
             expected="w in rad/s, the rate at which phi grows",
             remedy="correct the columns, or leave out w1 to w4, which only the signal velocity needs",
         )
@@ -213,6 +222,42 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
         expected="w in rad/s",
         remedy=f"multiply w by {unit.to_si:.6g}",
     )
+
+
+def _check_stuck(where: str, wheel: int, by_angle: Array, by_rate: Array) -> None:
+    """Refuse an angle that stands still while its rate says that the wheel rolls, and does not catch up.
+
+    Args:
+        where: the file, for messages.
+        wheel: index of the wheel.
+        by_angle: (s,) turn by the angle in each stretch, rad.
+        by_rate: (s,) turn by the rate, rad.
+
+    Raises:
+        DataError: names the column, and when it stands still.
+    """
+    stuck = (np.abs(by_angle) < _STILL_RAD) & (np.abs(by_rate) > _SLOWEST_RAD_S * _STRETCH_S)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(np.int8)))
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        rolled = float(by_rate[begin:end].sum())
+        caught_up = float(by_angle[begin : end + 1].sum()) / rolled > _CAUGHT_UP
+        if end - begin < _STILL_STRETCHES or caught_up:
+            continue
+        raise DataError(
+            where,
+            f"phi{wheel + 1} stands still while w{wheel + 1} rolls: by {abs(rolled):.2g} rad in the "
+            f"{_STRETCH_S * (end - begin):.1f} s from {_STRETCH_S * begin:.1f} s after its begin",
+            expected="w in rad/s, the rate at which phi grows",
+            remedy="look for a stuck encoder; leave the recording out, cut it there, or, where the wheel did "
+            "stand, leave out w1 to w4",
+        )
+
+
+def _scaled(ratio: Array) -> bool:
+    """Whether ratios (s,) are of one factor, 1.2 or more, but for three tenths of them."""
+    off = np.log(np.maximum(ratio, 1e-12))
+    middle = float(np.median(off))
+    return abs(middle) > _SCALED and bool(np.mean(np.abs(off - middle) < _STEADY) >= _MOST)
 
 
 def _ratios(by_angle: Array, by_rate: Array) -> Array:

@@ -1,9 +1,10 @@
 """Unwraps wheel angles: distinguishes counter wraps from gaps, restarts and unknown turns.
 
 A jump by a whole number of turns, from one end of the column's range to the other, is a wrap. A step that a
-wheel can have rolled since the row before is left as it is, however long that time was. Where a counter wraps
-at every turn, rows further apart than half a turn takes do not determine the number of turns; the wheel rates
-may. Nothing else is guessed.
+wheel can have rolled since the row before is left as it is, however long that time was. A step by less than
+half a turn that no wheel can have rolled is refused, and so are such steps of the steering while wheels roll.
+Where a counter wraps at every turn, rows further apart than half a turn takes do not determine the number of
+turns; the wheel rates may. Nothing else is guessed.
 """
 
 from __future__ import annotations
@@ -28,6 +29,12 @@ _GRID_S = 0.1
 _UNMOVED_RAD = 0.02
 _SAME_RAD = 1e-6
 _ALIKE_RAD = 0.25 * _TURN
+_TIMES_NEAR, _HUNG_S = 2.5, 1.0
+"""Margin for steps of less than half a turn, and longest time for which a servo may repeat its last angle."""
+_STEERED_RAD_S, _STEERED_RAD = 20.0, 0.5
+"""Four times the speed of the fastest steering recorded, and a margin for coarse counters."""
+_TOGETHER_RAD = 0.1
+_BESIDE_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,8 @@ def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
     """Undo wraps of wheel angles, and find jumps that are no wraps.
 
     The largest possible turn between two rows follows from the fastest wheel of the recording, with a quarter
-    of margin, and at least 5 rad/s. A step of at most half a turn within that reach is always left alone.
+    of margin, and at least 5 rad/s. A step within that reach is always left alone. A step of less than half a
+    turn is a jump from 2.5 times that reach on: stamps jitter, and a bus that repeats an angle catches up.
 
     Args:
         where: the file, for messages.
@@ -90,7 +98,7 @@ def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
     wraps &= ~unsure
     turns = np.where(by_rate, reported, np.where(wraps, turns, 0.0))
     restarts = np.any(size > np.minimum(steps.near, np.pi)[:, None], axis=1) & _as_at_first(angle)
-    leaps = ((far & ~wraps) | restarts[:, None]) & ~unsure
+    leaps = ((far & ~wraps) | restarts[:, None] | _sudden(t_s, steps)) & ~unsure
     counts = {WRAPS: np.count_nonzero(wraps), BY_RATES: np.count_nonzero(by_rate)}
     return Turns(
         _with_turns(angle, turns),
@@ -137,6 +145,62 @@ def _wrapped(angle: Array, steps: _Steps, far: Bools) -> tuple[Array, Bools]:
     across |= np.maximum(low[:-1], high[1:]) <= near
     whole = np.abs(steps.moved + turns * _TURN) <= near
     return turns, far & whole & across & (steps.reach < np.pi)[:, None]
+
+
+def _sudden(t_s: Array, steps: _Steps) -> Bools:
+    """Mask (n - 1, 4) of steps, by half a turn at most, over 2.5 times the reach since the last change."""
+    fastest = steps.reach / steps.lasts_s
+    reach = np.maximum(fastest[:, None] * _since_s(t_s, steps.moved != 0.0), steps.near[:, None])
+    size = np.abs(steps.moved)
+    return np.asarray((size > _TIMES_NEAR * reach) & (size <= np.pi), dtype=np.bool_)
+
+
+def _since_s(t_s: Array, changed: Bools) -> Array:
+    """Time (n - 1, k), s, that each step of rows (n,) may have taken: since the last one that changed."""
+    rows = np.arange(len(changed))[:, None]
+    before = np.maximum.accumulate(np.where(changed, rows + 1, 0), axis=0)
+    first = np.vstack([np.zeros((1, changed.shape[1]), dtype=np.int_), before[:-1]])
+    lasts_s = t_s[1:, None] - t_s[first]
+    return np.asarray(np.maximum(np.minimum(lasts_s, _HUNG_S), np.diff(t_s)[:, None]), dtype=np.float64)
+
+
+def check_steering(where: str, t_s: Array, steering: Array, angle: Array) -> None:
+    """Refuse steering angles of single wheels that leap while the wheels roll.
+
+    A leap is faster than 20 rad/s since the last row in which any angle changed, and more than 0.5 rad. Whole
+    turns do not count, and neither do leaps while the wheels stand: no way is computed from them. Where all
+    four wheels are steered in one row, the angles are those of a simulation, or commands, and are taken as
+    they are.
+
+    Args:
+        where: the file, for messages.
+        t_s: (n,) times of the rows, s, increasing.
+        steering: (n, 4) steering angles, rad.
+        angle: (n, 4) wheel angles, rad, unwrapped.
+
+    Raises:
+        DataError: names the first leap.
+    """
+    moved = np.diff(steering, axis=0)
+    moved -= _TURN * np.round(moved / _TURN)
+    changed = np.any(np.diff(np.hstack([steering, angle]), axis=0) != 0.0, axis=1, keepdims=True)
+    since_s = np.maximum(_since_s(t_s, changed), np.median(np.diff(t_s)))
+    leaps = np.abs(moved) > _STEERED_RAD_S * since_s + _STEERED_RAD
+    leaps[np.min(np.abs(moved), axis=1) > _TOGETHER_RAD] = False
+    for k in np.flatnonzero(leaps.any(axis=1)).tolist():
+        around_s = (t_s[k] - _BESIDE_S, t_s[k + 1] + _BESIDE_S)
+        rolled = np.diff([np.interp(around_s, t_s, column) for column in angle.T])
+        if np.max(np.abs(rolled)) < _UNMOVED_RAD:
+            continue
+        i = int(np.argmax(np.where(leaps[k], np.abs(moved[k]), -1.0)))
+        raise DataError(
+            where,
+            f"the steering angle delta{i + 1} leaps by {moved[k, i]:.2f} rad within "
+            f"{t_s[k + 1] - t_s[k]:.3g} s, {t_s[k] - t_s[0]:.2f} s after its begin, while the wheels roll: "
+            "no steering is that fast",
+            expected="angles that the servos measured in that row",
+            remedy="delete the damaged rows, leave the recording out, or cut it there",
+        )
 
 
 def _by_rates(steps: _Steps) -> tuple[Array, Bools]:

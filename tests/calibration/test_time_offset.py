@@ -71,3 +71,29 @@ def test_evaluate_says_so(tmp_path, capsys, data):
     write_plain(tmp_path / "line_x_1.csv", late(data[0], 0.2))
     assert main(["evaluate", str(tmp_path)]) == 0
     assert "the ground truth moves 0.20 s later than the wheels" in capsys.readouterr().err
+
+
+def slow(one, by_s, period_s):
+    """Ground truth of a clock that is late, thinned to one row in a period."""
+    every = round(period_s / float(np.median(np.diff(one.truth_t_s))))
+    rows = slice(every // 3, None, every)
+    return replace(
+        one,
+        truth_t_s=one.truth_t_s[rows] + by_s,
+        truth_pose=one.truth_pose[rows],
+        truth_receive_s=one.truth_receive_s[rows],
+    )
+
+
+@pytest.mark.parametrize("period_s", [0.2, 0.4, 1.0])
+def test_ground_truth_at_a_low_rate_is_no_other_clock(data, period_s):
+    for one in data:
+        assert time_offset_s(slow(one, 0.0, period_s)) == pytest.approx(0.0, abs=0.03 + 0.1 * period_s)
+        assert different_clocks([slow(one, 0.0, period_s)]) == []
+
+
+@pytest.mark.parametrize("period_s", [0.2, 1.0])
+def test_a_late_clock_shows_at_a_low_rate_too(data, period_s):
+    (line,) = different_clocks([slow(one, 0.3, period_s) for one in data])
+    assert "the ground truth moves 0.3" in line or "the ground truth moves 0.29" in line
+    assert "later" in line

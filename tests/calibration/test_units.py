@@ -1,5 +1,7 @@
 """Recordings in other units than seconds, metres and radians are refused by every command."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -110,13 +112,44 @@ def test_a_counter_of_revolutions_that_wraps_is_named_too(circle):
         build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose))
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "millimetres"), (1e2, "centimetres")])
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e3, "millimetres"), (1e2, "centimetres"), (1 / 0.0254, "inches")]
+)
 def test_positions_in_another_unit_are_named(circle, factor, unit):
     t_s, wheels, truth_t_s, pose = circle
     with pytest.raises(
         DataError, match=rf"positions \(x, y\) seem to be in {unit}.*multiply x, y by {1 / factor:g}"
     ):
         build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose * (factor, factor, 1.0)))
+
+
+@pytest.mark.parametrize(("factor", "column"), [((1e3, 1.0, 1.0), "x"), ((1.0, 1e3, 1.0), "y")])
+def test_one_position_in_another_unit_is_named_alone(circle, factor, column):
+    t_s, wheels, truth_t_s, pose = circle
+    with pytest.raises(
+        DataError, match=rf"moved .* by ground truth \({column}\).*convert {column} to metres"
+    ):
+        build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose * factor))
+
+
+def quantized(steering):
+    """Angles as counters of 4096 a turn have them."""
+    count = 2.0 * np.pi / 4096.0
+    return np.round(steering / count) * count
+
+
+def test_steering_in_degrees_that_stays_small_is_known_by_its_counts(turn):
+    """On a line it is some hundredths of a radian, in degrees within any limit."""
+    t_s, wheels, truth_t_s, pose = turn
+    wheels = np.array(wheels)
+    wheels[:, 4:8] = quantized(0.008 * np.sin(t_s[:, None] + np.arange(4)))
+    log, truth = Log(t_s, wheels), Log(truth_t_s, pose)
+    assert len(build_recording("run", log, truth).t_s)
+    zeros = np.array([0.0, 0.2, -0.3, 0.1])
+    for spoilt in (np.degrees(wheels[:, 4:8]), np.round(np.degrees(wheels[:, 4:8]) + zeros, 6)):
+        wheels = np.column_stack([wheels[:, :4], spoilt])
+        with pytest.raises(DataError, match=r"steering angles \(delta\) seem to be in degrees"):
+            build_recording("run", Log(t_s, wheels), truth)
 
 
 def test_a_turn_of_a_mark_far_from_the_middle_is_no_other_unit(turn):
@@ -142,6 +175,7 @@ RATES = {
     DEG: r"seem to be in degrees per second.*multiply w by 0\.01745",
     1.0 / 0.0239809: r"seem to be in steps of 0\.229 revolutions per minute.*multiply w by 0\.02398",
     3.0: r"disagree with the wheel angles \(phi\): (2\.9|3).*leave out w1 to w4",
+    1.5: r"disagree with the wheel angles \(phi\): 1\.[45].*leave out w1 to w4",
 }
 
 
@@ -172,6 +206,27 @@ def test_rates_that_are_noisy_late_or_full_of_gaps_are_taken_as_they_are(with_ra
     rows = rng.uniform(size=len(rate)) < 0.3
     rows[400:480] = False
     assert rebuilt(with_rates, noisy, rows).has_rates
+
+
+def stuck(run, begin_s, end_s):
+    """Wheel angles whose first column stands still for a while and goes on from where it stood."""
+    angle, begin, end = run.wheel_angle_rad.copy(), *np.searchsorted(run.t_s, (begin_s, end_s))
+    angle[end:, 0] -= angle[end - 1, 0] - angle[begin, 0]
+    angle[begin:end, 0] = angle[begin, 0]
+    return angle
+
+
+@pytest.mark.parametrize("end_s", [8.0, 1000.0])
+def test_an_angle_that_stands_still_while_its_rate_goes_on_is_named_with_its_time(with_rates, end_s):
+    run = replace(with_rates, wheel_angle_rad=stuck(with_rates, 6.0, end_s))
+    with pytest.raises(DataError, match=r"phi1 stands still while w1 rolls: .* s from [56]\.. s after"):
+        rebuilt(run, with_rates.wheel_rate_rad_s)
+
+
+def test_an_angle_that_a_bus_repeats_for_a_while_catches_up(with_rates):
+    angle, (begin, end) = with_rates.wheel_angle_rad.copy(), np.searchsorted(with_rates.t_s, (6.0, 6.9))
+    angle[begin:end] = angle[begin]
+    assert rebuilt(replace(with_rates, wheel_angle_rad=angle), with_rates.wheel_rate_rad_s).has_rates
 
 
 def test_rates_of_a_robot_at_rest_are_not_judged(with_rates):

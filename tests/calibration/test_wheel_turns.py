@@ -142,6 +142,47 @@ def test_one_damaged_angle_is_named():
         read(t, angle, w, truth)
 
 
+@pytest.mark.parametrize("leap", [3.0, -2.9, 0.6])
+@pytest.mark.parametrize("rows", [slice(300, 301), slice(300, None)])
+def test_a_leap_of_less_than_half_a_turn_is_named(leap, rows):
+    t, angle, w, truth = drive(rates=True)
+    angle[rows, 0] += leap
+    with pytest.raises(DataError, match=r"phi1 leaps by .* rad within 0\.02 s, (5\.98|6\.00) s after"):
+        read(t, angle, w, truth)
+
+
+def test_an_angle_that_was_repeated_for_a_while_may_catch_up():
+    t, angle, w, truth = drive()
+    angle[300:345, 1] = angle[300, 1]
+    np.testing.assert_array_equal(read(t, angle, w, truth).wheel_angle_rad, angle)
+
+
+def steered(spoil):
+    t, angle, _, truth = drive()
+    steering = np.zeros((len(t), 4))
+    spoil(t, steering)
+    return build_recording("run", Log(t, np.column_stack([angle, steering])), truth, sources=("run.csv",))
+
+
+@pytest.mark.parametrize("rows", [slice(300, 301), slice(300, 350)])
+def test_steering_that_leaps_while_the_wheels_roll_is_named(rows):
+    def spoil(t, steering):
+        steering[rows, 2] += 1.5
+
+    with pytest.raises(DataError, match=r"^run\.csv: .* delta3 leaps by 1\.50 rad within 0\.02 s, 5\.98 s"):
+        steered(spoil)
+
+
+def test_steering_may_leap_at_rest_or_as_one_turn_fast_or_wrap():
+    def spoil(t, steering):
+        steering[:] = (np.where(t < 0.5, 1.57, 0.0) - 1.57 * (t >= 6.0))[:, None]
+        steering[:, 1] += 3.1 + 0.08 * np.sin(20.0 * t)
+        steering[:, 1] = np.angle(np.exp(1j * steering[:, 1]))
+        steering[:, 3] += np.interp(t, [0.0, 8.0, 8.2, 14.0], [0.0, 0.0, 1.5, 1.5])
+
+    assert len(steered(spoil).t_s) == 700
+
+
 def test_angles_in_degrees_are_named_for_their_unit_first():
     t, angle, w, truth = drive()
     with pytest.raises(DataError, match=r"\(phi\) seem to be in degrees"):

@@ -8,7 +8,7 @@ import pytest
 from hil.calibration.synthetic import hidden_robot, simulate
 from hil.core.errors import DataError
 from hil.datasets import number_table
-from hil.datasets.cleaning import Log, increasing
+from hil.datasets.cleaning import NO_HEADING, Log, increasing
 from hil.datasets.dataset import build_recording
 from hil.datasets.plain_csv import read_plain, write_plain
 from hil.datasets.public_csv import read_pair
@@ -192,6 +192,39 @@ def test_each_repair_is_counted():
     assert len(recording.warnings()) == 6
 
 
+@pytest.mark.parametrize("stamp_s", [-5.0, 1000.0, 3.301])
+def test_a_row_with_a_stamp_far_from_those_beside_it_is_dropped_and_named(stamp_s):
+    """It would be the start, the end, or a wheel that leaps."""
+    t, wheels, truth = logs()
+    spoilt = t.copy()
+    spoilt[50] = stamp_s
+    recording = build_recording("run", Log(spoilt, wheels), Log(spoilt, truth))
+    assert len(recording.t_s) == len(recording.truth_t_s) == len(t) - 1
+    np.testing.assert_array_equal(recording.t_s, np.delete(t, 50))
+    (by_truth, by_wheels) = sorted(recording.repairs)
+    assert (
+        by_wheels == "wheel rows stamped far from the rows beside them dropped (first 0.98 s after its begin)"
+    )
+    assert by_truth.startswith("ground-truth rows stamped far")
+
+
+def test_a_row_that_comes_late_is_sorted_where_it_is_missing():
+    t, wheels, truth = logs()
+    order = np.insert(np.delete(np.arange(len(t)), 20), 150, 20)
+    recording = build_recording("run", Log(t[order], wheels[order]), Log(t, truth))
+    np.testing.assert_array_equal(recording.t_s, t)
+    assert recording.repairs == {"wheel stamps out of order sorted": 1}
+
+
+def test_rows_that_vanish_behind_one_stamp_are_refused(tmp_path):
+    """Nanoseconds that hold milliseconds, or whole seconds: a hundredth of the rows would be left."""
+    t, wheels, truth = logs(2000)
+    with pytest.raises(DataError, match=r"^run: 19\d\d of 2000 wheel rows have the stamp of another row"):
+        build_recording("run", Log(np.floor(t), wheels), Log(t, truth))
+    twice = np.repeat(np.arange(len(t)), 5)
+    assert len(build_recording("run", Log(t[twice], wheels[twice]), Log(t, truth)).t_s) == len(t)
+
+
 def test_wrapped_heading_is_unwrapped():
     t, wheels, truth = logs()
     truth[:, 2] = np.angle(np.exp(1j * 3.0 * t))
@@ -245,6 +278,53 @@ def test_bad_files_are_named(tmp_path):
         read_recordings([tmp_path / "void"])
 
 
+def spoilt_header(tmp_path, run, spoil):
+    path = tmp_path / "line_x_1.csv"
+    write_plain(path, run)
+    header, _, rows = path.read_bytes().partition(b"\r\n")
+    path.write_bytes(spoil(header) + b"\r\n" + rows)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda line: line.replace(b"phi1", b"PHI1"),
+            r"lacks the columns phi1 \(it has PHI1 in place of phi1\)",
+        ),
+        (lambda line: b"# my data\r\n" + line, r"first line holds no names of columns: '# my data.*delete"),
+        (lambda line: b"# L\xe4nge\r\n" + line, "first line is not UTF-8 text: '# Länge.*save it as UTF-8"),
+        (lambda line: line.replace(b"theta", b"th\xeata"), "first line is not UTF-8 text: .*thêta"),
+        (lambda line: b"0,1,2,3", r"first line holds no names of columns: '0,1,2,3"),
+    ],
+)
+def test_what_the_first_line_holds_in_place_of_the_names_is_said(tmp_path, run, spoil, said):
+    with pytest.raises(DataError, match=r"line_x_1\.csv: .*" + said):
+        read_plain(spoilt_header(tmp_path, run, spoil))
+
+
+def test_names_in_quotes_and_foreign_columns_in_other_text_are_read(tmp_path, run):
+    """As R writes them."""
+    quoted = spoilt_header(tmp_path, run, lambda line: b'"' + line.replace(b",", b'","') + b'"')
+    assert len(read_plain(quoted).t_s) == len(run.t_s)
+    lines = quoted.read_bytes().splitlines()
+    quoted.write_bytes(b"\n".join([lines[0] + b",L\xe4nge", *(line + b",1" for line in lines[1:])]))
+    assert len(read_plain(quoted).t_s) == len(run.t_s)
+
+
+def test_columns_that_are_not_read_are_named_where_wheel_angles_are_missing(tmp_path, run):
+    (what,) = (
+        what
+        for what in read_plain(
+            spoilt_header(tmp_path, run, lambda line: line.replace(b"phi", b"wheel"))
+        ).repairs
+        if "missing" in what
+    )
+    assert "phi1, phi2, phi3, phi4" in what
+    assert "wheel1, wheel2, wheel3, wheel4" in what
+
+
 def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path, compress=True)
     odom, absolute = tmp_path / "odom_3.csv.gz", tmp_path / "abs_3.csv.gz"
@@ -260,6 +340,21 @@ def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path / "c", columns=False)
     with pytest.raises(DataError, match="lacks the columns"):
         read_recordings([tmp_path / "c"])
+
+
+@pytest.mark.parametrize("quaternion", ["0;0;0;0", "0;0;0;2"])
+def test_public_pairs_without_a_heading_are_refused_and_single_rows_left_out(tmp_path, quaternion):
+    write_pair(tmp_path)
+    absolute = tmp_path / "abs_3.csv"
+    lines = absolute.read_text().splitlines()
+    spoilt = [line.removesuffix("0;0;0;1") + quaternion for line in lines]
+    absolute.write_text("\n".join([*lines[:50], *spoilt[50:60], *lines[60:]]) + "\n")
+    (found,) = read_recordings([tmp_path])
+    assert found.repairs[NO_HEADING] == 10
+    assert len(found.truth_t_s) == 190
+    absolute.write_text("\n".join([lines[0], *spoilt[1:]]) + "\n")
+    with pytest.raises(DataError, match=r"abs_3\.csv: none of 200 rows holds a heading"):
+        read_recordings([tmp_path])
 
 
 def test_the_public_recordings_are_classified_and_read_whole(public_data):
