@@ -51,8 +51,8 @@ def watched(device, statuses, stale_s=None, begin=0):
 
 TOLD = [
     (Status.FROZEN, "frozen"),
-    (Status.IMPLAUSIBLE, "cannot be"),
-    (Status.NOT_FINITE, "no numbers"),
+    (Status.IMPLAUSIBLE, "impossible values"),
+    (Status.NOT_FINITE, "NaN or infinity"),
     (Status.JUMP, "jumped"),
     (Status.RESET, "started again"),
     (Status.HARDWARE_ERROR, "hardware error"),
