@@ -58,7 +58,7 @@ class CanConfig(DeviceConfig):
         return True
 
     def table(self, **found: Any) -> dict[str, Any]:
-        """The device's table in a bench file, with what was found, without discovery's time-out."""
+        """The device's table in a bench file, with what was found, without discovery's timeout."""
         waited = {"open_timeout_s"}
         reported = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude=waited)
         return {**reported, **found}

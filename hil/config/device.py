@@ -37,7 +37,7 @@ class DeviceConfig(Strict):
         return bool(getattr(self, "prefetch", False))
 
     def timeouts_s(self) -> float:
-        """Sum of its time-outs, s: the longest that its driver may take for a device that does not answer."""
+        """Sum of its timeouts, s: the longest that its driver may take for a device that does not answer."""
         given = (value for name, value in self if name.endswith("timeout_s"))
         return sum(float(value) for value in given if isinstance(value, (int, float)))
 

@@ -14,7 +14,7 @@ Rate = Annotated[float, Within(0.1, 10_000.0, "samples per second")]
 
 
 class StreamConfig(DeviceConfig):
-    """Timing of a sensor's samples, and its time-outs.
+    """Timing of a sensor's samples, and its timeouts.
 
     Attributes:
         rate_hz: samples per second.

@@ -58,7 +58,7 @@ class Search:
 
     Attributes:
         given: by kind, tables of devices that the user named.
-        clock: clock for time-outs.
+        clock: clock for timeouts.
         say: receives progress.
         sysfs: where the kernel lists its devices.
         found: by kind, tables of what has been found so far.

@@ -178,7 +178,7 @@ class DeviceError(HilError, OSError):
 
 
 class DeviceTimeoutError(DeviceError, TimeoutError):
-    """A device repeatedly did not answer within its time-out."""
+    """A device repeatedly did not answer within its timeout."""
 
 
 class FaultNotSupportedError(UsageError):

@@ -37,7 +37,7 @@ _LOG = logging.getLogger(__name__)
 
 _LOOK_NS = nanoseconds(0.025)
 _PATIENCE = 0.25
-"""Share of the controller's time-out after which a daemon that is silent counts as dead."""
+"""Share of the controller's timeout after which a daemon that is silent counts as dead."""
 _AGAIN_NS = nanoseconds(2.0)
 _STANDBY_NS = nanoseconds(0.2)
 _LIKE = 0.02

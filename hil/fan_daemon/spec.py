@@ -13,7 +13,7 @@ from hil.support.emulated_can_mark import bus_name
 
 _HIGHEST = {"duty": 0.95, "current_a": 60.0, "erpm": 150_000.0}
 _PERIODS = 10
-"""At least so many commands fit into the controller's time-out."""
+"""At least so many commands fit into the controller's timeout."""
 _LONGEST_PERIOD_S = 0.1
 _WHOSE = {"adhesion": "the fan's", "thrust": "the propellers'"}
 
@@ -66,14 +66,14 @@ class Spec:
             )
         if self.timeout_s == 0.0:
             raise ConfigError(
-                f"{self.name}: {self.device}.timeout_s = 0: without a time-out {self.noun} would run for "
+                f"{self.name}: {self.device}.timeout_s = 0: without a timeout {self.noun} would run for "
                 "ever once no program commands it",
-                expected="the controller's time-out in s",
+                expected="the controller's timeout in s",
                 remedy="set it in VESC Tool (App Settings, General, Timeout), 1000 ms is usual",
             )
         if self.timeout_s < _PERIODS * self.period_s:
             raise ConfigError(
-                f"{self.name}: {self.device}.timeout_s = {self.timeout_s:g}: a time-out too short for "
+                f"{self.name}: {self.device}.timeout_s = {self.timeout_s:g}: a timeout too short for "
                 f"commands every {self.period_s:g} s: one late command would let go of the robot",
                 expected=f"at least {_PERIODS * self.period_s:g} s",
                 remedy="raise it in VESC Tool (App Settings, General, Timeout), 1000 ms is usual",

@@ -2,7 +2,7 @@
 
 pyserial's network ports are made for terminals. Here a raw socket sends small packets at once instead
 of waiting for acknowledgements, and an RFC 2217 port negotiates with its server only when a line setting
-changes, not at every time-out that is set and every buffer that is cleared (50 ms each). A local port reads
+changes, not at every timeout that is set and every buffer that is cleared (50 ms each). A local port reads
 without checking first whether bytes have come. It belongs to one program at a time: the first that opens it
 locks it.
 """
@@ -94,7 +94,7 @@ class LocalPort(_Local):  # type: ignore[misc]
     """
 
     def read(self, size: int = 1) -> bytes:
-        """Up to `size` bytes; waits for what is missing as long as the time-out allows."""
+        """Up to `size` bytes; waits for what is missing as long as the timeout allows."""
         data = b""
         if self.is_open:
             with contextlib.suppress(OSError):

@@ -4,7 +4,7 @@
     stop          at rest, at once
 
 The loop polls for lines that have arrived; nothing here blocks and no thread is needed. To keep the robot
-moving, a sender repeats its command before the dead-man time-out (`hil.live.velocity_reference`).
+moving, a sender repeats its command before the dead-man timeout (`hil.live.velocity_reference`).
 
 Any user of this host can send to a port of it, so a datagram has to begin with a token that only the
 operator knows.

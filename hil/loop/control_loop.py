@@ -138,7 +138,7 @@ class ControlLoop:
         return record
 
     def _read(self, start_ns: int) -> Inputs:
-        """Read every device; after a long pause of the loop a time-out is reported as `held_up`."""
+        """Read every device; after a long pause of the loop a timeout is reported as `held_up`."""
         before_ns, self._began_ns = self._began_ns, start_ns
         try:
             return self.rig.read(self._cycle)

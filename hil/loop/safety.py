@@ -17,7 +17,7 @@ from hil.loop.cycle_data import Check
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits of one bench; time-outs in s, angles in rad. `heading_limit_rad` applies on a wall only.
+    """Limits of one bench; timeouts in s, angles in rad. `heading_limit_rad` applies on a wall only.
 
     `stale_s` is the time without a good sample after which a kind of device counts as silent; kinds without
     an entry are not checked. `servo_ids` are the bus IDs in the order of `SERVOS`, for messages, empty when

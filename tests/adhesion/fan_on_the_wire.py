@@ -1,4 +1,4 @@
-"""A fan at the end of a CAN bus on loopback: takes commands, reports at 50 Hz, lets go after its time-out.
+"""A fan at the end of a CAN bus on loopback: takes commands, reports at 50 Hz, lets go after its timeout.
 
 It is written from the protocol, not from our codec, and keeps when each command arrived by the kernel's
 clock: so its own lateness on a busy machine is not mistaken for a gap.

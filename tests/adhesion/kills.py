@@ -121,7 +121,7 @@ def all_killed(fan, spec, count, seed):
             since_s = time.time()
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
-            wait_until(lambda: fan.duty == 0.0, "the controller's time-out")
+            wait_until(lambda: fan.duty == 0.0, "the controller's timeout")
             released_s.append(time.time() - since_s)
             fan.commands.clear()
     return released_s

@@ -1,7 +1,7 @@
 """Bench or daemon killed at random moments in real time: the fan is never without a command for 200 ms.
 
 Where the daemon's standby is killed as well the bench stands in. It is a busy program, not a small one,
-and has half of the controller's time-out.
+and has half of the controller's timeout.
 """
 
 import os

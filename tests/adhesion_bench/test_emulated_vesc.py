@@ -25,7 +25,7 @@ def test_orders_are_understood_byte_by_byte(order):
         clock.sleep_until_ns(S)
         send(bus, frame_id, data)
         clock.sleep_until_ns(S + 2_000_000)
-        assert node._commanded_ns > S, "every SET_* renews the time-out"
+        assert node._commanded_ns > S, "every SET_* renews the timeout"
 
 
 def test_reports_have_the_bytes_that_were_written_out_by_hand():

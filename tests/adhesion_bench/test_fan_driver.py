@@ -88,8 +88,8 @@ def test_slow_reports_are_no_numbers_before_they_came(driver):
             {},
             r"sends no status message.*switch on messages 1, 4 and 5 in VESC Tool",
         ),
-        ({**ON, "timeout_s": 0.0}, {}, r"time-out is 0.*set 1000 ms in VESC Tool"),
-        ({**ON, "timeout_s": 0.2}, {}, r"time-out of 0.2 s is too short.*set 1000 ms in VESC Tool"),
+        ({**ON, "timeout_s": 0.0}, {}, r"timeout is 0.*set 1000 ms in VESC Tool"),
+        ({**ON, "timeout_s": 0.2}, {}, r"timeout of 0.2 s is too short.*set 1000 ms in VESC Tool"),
     ],
 )
 def test_a_controller_that_cannot_be_trusted_is_named_with_the_remedy(options, keys, reported, driver):
@@ -161,7 +161,7 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         fan = driver(clock)
         fan.open()
         found = {f.check: f for f in fan.diagnose()}
-        assert (found["time-out"].level, found["time-out"].found) == ("warning", "2 s")
+        assert (found["timeout"].level, found["timeout"].found) == ("warning", "2 s")
         assert (found["status messages"].level, found["status messages"].found) == ("warning", "1, 4")
         assert (found["firmware"].level, found["firmware"].found) == ("warning", "5.02")
         assert found["daemon"].level == "ok"

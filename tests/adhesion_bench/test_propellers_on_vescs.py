@@ -132,7 +132,7 @@ def test_the_doctor_names_the_controller_whose_settings_differ_with_the_remedy()
     with made(timeout_s=2.0) as (_, _, _, driver, _):
         driver.open()
         wrong = {f.check: f.remedy for f in driver.diagnose() if f.level != "ok"}
-    assert wrong == {f"controller {one}: time-out": "set thrust.timeout_s = 2" for one in (2, 3)}
+    assert wrong == {f"controller {one}: timeout": "set thrust.timeout_s = 2" for one in (2, 3)}
 
 
 @pytest.mark.parametrize("force_n", [-1.0, math.nan, 50.0])

@@ -112,7 +112,7 @@ def test_propellers_that_weaken_unseen_are_not_called_held():
 
 
 def test_propellers_that_have_fallen_silent_are_not_called_held_while_the_robot_still_stands():
-    """They go on until their time-out, and the robot with them; then it falls."""
+    """They go on until their timeout, and the robot with them; then it falls."""
     bench = hil.open_bench("emulated", seed=1, faults=["thrust:bus_off@3.0"], overrides=VESCS)
     said = []
     with bench:

@@ -68,7 +68,7 @@ class Leaping(Clock):
 
 
 class Impatient(Sensor):
-    """A sensor of a package whose time-out knows nothing of pauses."""
+    """A sensor of a package whose timeout knows nothing of pauses."""
 
     name = "imu"
 

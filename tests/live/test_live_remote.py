@@ -97,7 +97,7 @@ def test_a_drive_on_a_remote_bench(served, tmp_path, protocol):
 
 
 def test_an_rfc2217_port_negotiates_once(served):
-    """Time-outs that change and buffers that are cleared cost nothing; pyserial's own takes 50 ms each."""
+    """Timeouts that change and buffers that are cleared cost nothing; pyserial's own takes 50 ms each."""
     bridge = Bridge(served["imu"]["port"], baud=115_200, latency_s=LATENCY_S, protocol="rfc2217")
     try:
         port = open_serial(bridge.url, baud=115_200, timeout_s=0.1, write_timeout_s=0.1)

@@ -6,7 +6,7 @@ from hil.core.signals import ServoSetpoint, Status
 
 
 def test_repairing_eight_tripped_watchdogs_does_not_cost_the_read_behind_it(servo_bench):
-    """The repair's packets are still leaving when the read is asked: its time-out starts behind them."""
+    """The repair's packets are still leaving when the read is asked: its timeout starts behind them."""
     bench = servo_bench()
     bench.driver.enable()
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""The emulated serial line as a client meets it: pacing, latency, time-outs, faults, in both transports."""
+"""The emulated serial line as a client meets it: pacing, latency, timeouts, faults, in both transports."""
 
 import os
 import threading

@@ -116,7 +116,7 @@ def discover(
     """Search serial ports and all other places for devices.
 
     Args:
-        clock: clock for time-outs.
+        clock: clock for timeouts.
         ports: serial ports or pyserial URLs; all of this computer when None.
         left_alone: ports among them to which nothing is written, and why.
         given: by kind, tables of devices to search that are not on a serial port (CAN buses to listen on,

@@ -1,7 +1,7 @@
 """Checks that the fan's force is measured and holds the robot: one condition of HELD.
 
 A robot whose fan has just failed is still at rest. A controller without reports may have stopped its motor,
-or will do so at its time-out, and the fan takes a second to run down. So a silent fan is not trusted until
+or will do so at its timeout, and the fan takes a second to run down. So a silent fan is not trusted until
 the load cells have measured enough force for longer than that, and a falling force counts as NOT HELD before
 it is too small. Propellers carry a part of the weight: their reported push counts. Propellers without reports
 may not have understood the command: they count once the robot has been at rest for as long as they would need
@@ -57,7 +57,7 @@ class AdhesionForceCheck:
     Args:
         rig: devices of the bench.
         limits: required forces; None where no device reports a force, or the robot cannot fall.
-        fan: the fan's settings, if its controller stops the motor at a time-out.
+        fan: the fan's settings, if its controller stops the motor at a timeout.
         alone: check of propellers that report nothing.
         carried: whether such propellers carry a robot that can fall.
         pretended: fan and propellers that are emulated beside real servos: they hold no real robot.

@@ -129,7 +129,7 @@ class Preload:
         return ", ".join(f"{force:.1f} N by {name}" for name, force in self._seen_n.items())
 
     def _wait(self, limits: AdhesionLimits, thrust_n: float) -> float:
-        """Wait for a sufficient force; return its limit, N. Raises `SafetyStop` at the time-out."""
+        """Wait for a sufficient force; return its limit, N. Raises `SafetyStop` at the timeout."""
         limit_n = limits.limit_n(thrust_n, self._config.environment.start_pose[2])
         if self._config.safety.tethered:
             limit_n = min(limit_n, _TETHERED_SHARE * force_wanted_n(self._config))

@@ -61,7 +61,7 @@ _BEYOND_TIMEOUTS_S = 5.0
 
 
 def opening(timeouts_s: float = 0.0) -> TimeLimit:
-    """Limit for opening a device: 30 s, or 5 s more than the time-outs in its table if that is longer."""
+    """Limit for opening a device: 30 s, or 5 s more than the timeouts in its table if that is longer."""
     ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
     return TimeLimit(
         5 * _LOOKS_PER_S,

@@ -190,7 +190,7 @@ class ThirdPartyDriver:
         model: the device's model.
         make: makes the driver; if it fails, `open` raises its error, and other devices can still be examined.
         failures: errors of emulated devices so far, by kind (`hil.bench.third_party.emulated`).
-        timeouts_s: sum of the time-outs in its table of the bench file; opening may take as long.
+        timeouts_s: sum of the timeouts in its table of the bench file; opening may take as long.
 
     Attributes:
         name: the driver's own name, or the kind's if it has none.

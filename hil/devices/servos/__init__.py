@@ -156,7 +156,7 @@ class Servos(DeviceKind):
         Plot("Health", "Voltages (V)", "servos/voltage_v"),
     )
     motion_threshold = 0.01  # rad: a servo holds its place within three counts, 0.005
-    silent_faults: ClassVar[Mapping[str, str]] = {"slow": "answers come later, but before their time-out"}
+    silent_faults: ClassVar[Mapping[str, str]] = {"slow": "answers come later, but before their timeout"}
 
     def stale_after_s(self, safety: Any, config: Any) -> float:
         """`safety.servo_stale_s`."""

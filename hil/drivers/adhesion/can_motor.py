@@ -60,7 +60,7 @@ class DaemonMotor(Holding[S], Generic[C, S]):
         No command is sent; a motor that runs goes on as it runs.
 
         Raises:
-            ConfigError: an unusable time-out.
+            ConfigError: an unusable timeout.
             DeviceError: the controller is missing, shares its id, reports nothing, or may release the robot.
         """
         self.close()

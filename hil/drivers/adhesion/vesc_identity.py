@@ -42,7 +42,7 @@ class BusReplies:
     messages: set[int] = field(default_factory=set)
 
     def check(self, name: str, link: CanLink, config: VescConfig, answers: Answers, spec: Spec) -> None:
-        """Raise `DeviceError` for a controller that is missing, silent, of a shared id or a bad time-out."""
+        """Raise `DeviceError` for a controller that is missing, silent, of a shared id or a bad timeout."""
         own, port = config.controller_id, link.port
         if not self.pongs[own] and not self.statuses[own]:
             raise self._absent(name, link, config)
@@ -71,7 +71,7 @@ class BusReplies:
         if timeout_s == 0.0:
             raise DeviceError(
                 name,
-                "the controller's time-out is 0: its motor would run for ever without commands",
+                "the controller's timeout is 0: its motor would run for ever without commands",
                 port=port,
                 expected=f"at least {least_s:g} s",
                 remedy=_TIMEOUT,
@@ -79,7 +79,7 @@ class BusReplies:
         if timeout_s < least_s - 1e-9:
             raise DeviceError(
                 name,
-                f"the controller's time-out of {timeout_s:g} s is too short for commands every "
+                f"the controller's timeout of {timeout_s:g} s is too short for commands every "
                 f"{spec.period_s:g} s: one late command would let go of the robot",
                 port=port,
                 expected=f"at least {least_s:g} s",
@@ -111,14 +111,14 @@ class BusReplies:
         settings = answers.settings
         if settings is None:
             found = f"the controller does not report it; the bench file says {config.timeout_s:g} s"
-            yield Finding(name, "time-out", "warning", found, "1 s", _TIMEOUT)
+            yield Finding(name, "timeout", "warning", found, "1 s", _TIMEOUT)
             sent = frozenset(self.messages)
         else:
             same = math.isclose(settings.timeout_s, config.timeout_s, abs_tol=1e-3)
             level: Level = "ok" if same else "warning"
             remedy = f"set {name}.timeout_s = {settings.timeout_s:g}"
             yield Finding(
-                name, "time-out", level, f"{settings.timeout_s:g} s", f"{config.timeout_s:g} s", remedy
+                name, "timeout", level, f"{settings.timeout_s:g} s", f"{config.timeout_s:g} s", remedy
             )
             sent = settings.sent
         level = "ok" if sent >= _NEEDED else "warning"

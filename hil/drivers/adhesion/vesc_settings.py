@@ -1,4 +1,4 @@
-"""The settings that a VESC reports: firmware, time-out, status messages.
+"""The settings that a VESC reports: firmware, timeout, status messages.
 
 As in its firmware (`comm/commands.c`). Questions and answers travel in `PROCESS_SHORT_BUFFER` frames; a long
 answer comes in pieces that are closed by length and checksum. The settings begin alike since firmware 5.03.

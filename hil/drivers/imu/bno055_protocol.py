@@ -1,6 +1,6 @@
 """Request and reply with a BNO055 over a pyserial port: framing, error codes, bounded repetition.
 
-Two bytes are read first, then the rest: a plain `read(2 + n)` would wait its whole time-out on a
+Two bytes are read first, then the rest: a plain `read(2 + n)` would wait its whole timeout on a
 two-byte error reply (Bosch BNO055 datasheet 4.7). Exceptions of pyserial become `ExchangeError`.
 """
 
@@ -25,7 +25,7 @@ STATUS_TEXT = {
     0x07: "bus overrun",
     0x08: "longest length exceeded",
     0x09: "shortest length undercut",
-    0x0A: "receive character time-out",
+    0x0A: "receive character timeout",
 }
 _WRITTEN = 0x01
 _MAX_ATTEMPTS = 10
@@ -132,7 +132,7 @@ class Link:
                 self._send(request)
             head = self._port.read(2)
             if len(head) < 2:
-                raise ExchangeError(Status.TIMEOUT, f"{len(head)} of 2 header bytes before the time-out")
+                raise ExchangeError(Status.TIMEOUT, f"{len(head)} of 2 header bytes before the timeout")
             if head[0] == 0xBB and length and head[1] == length:
                 data: bytes = self._port.read(length)
                 if len(data) < length:

@@ -5,7 +5,7 @@ which takes a fifth of a millisecond more on the wire instead of two exchanges o
 
 A servo that misses a read moves to the end of the list, so that an answer that breaks off at it loses no
 other servo; after three misses it leaves the list and is polled alone now and then. So a dead servo costs one
-short time-out at a time, never the whole group. When no servo answers, the fault is in the bus or in the
+short timeout at a time, never the whole group. When no servo answers, the fault is in the bus or in the
 first servo: another servo leads the next read, which shows which of the two it is.
 """
 

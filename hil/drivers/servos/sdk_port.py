@@ -1,8 +1,8 @@
 """The SDK's port on any pyserial URL and on the injected clock.
 
-The stock `PortHandler` opens local devices only, polls with a time-out of zero (one core at 99 %),
+The stock `PortHandler` opens local devices only, polls with a timeout of zero (one core at 99 %),
 measures on the wall clock and waits 34 ms for a missing servo. This one
-blocks in the serial read, and computes its time-outs from baud rate, bytes, return delay and latency.
+blocks in the serial read, and computes its timeouts from baud rate, bytes, return delay and latency.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def receive(self, length: int, timeout_s: float) -> bytes:
         """Wait for `length` bytes `timeout_s` or half a millisecond more; raises `PortLost`.
 
-        Setting a time-out configures the whole terminal again, so one that is about right is kept.
+        Setting a timeout configures the whole terminal again, so one that is about right is kept.
         """
         try:
             if not timeout_s <= self._timeout_s <= timeout_s + _TIMEOUT_STEP_S:

@@ -71,7 +71,7 @@ class CanFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class Order:
-    """A `SET_*` command. Each renews the controller's time-out, whatever it sets.
+    """A `SET_*` command. Each renews the controller's timeout, whatever it sets.
 
     Attributes:
         controller_id: the receiver; `ALL_SERVOS` for all.
@@ -223,7 +223,7 @@ def _off_delay(order: Order) -> bytes:
 
 
 def ping_frame(controller_id: int, asker_id: int) -> CanFrame:
-    """The frame that requests a `Pong` to `asker_id` from a controller, or all; renews no time-out."""
+    """The frame that requests a `Pong` to `asker_id` from a controller, or all; renews no timeout."""
     return CanFrame(address(Packet.PING, controller_id), bytes([asker_id]))
 
 

@@ -152,7 +152,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Findings on the identity, the settings and the daemon of the fan."""
-        silent = "it does not report its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
+        silent = "it does not report its timeout: the bench file says " + f"{self._config.timeout_s:g} s"
         return (
             Finding(
                 self.name,
@@ -162,7 +162,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
                 "an answer to GetNodeInfo",
                 "look at the node with `dronecan_gui_tool`",
             ),
-            Finding(self.name, "time-out", "warning", silent, "1 s", "look at it in VESC Tool"),
+            Finding(self.name, "timeout", "warning", silent, "1 s", "look at it in VESC Tool"),
             finding(self.name, self._commander),
         )
 
