@@ -71,7 +71,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "goals": ("hil/drivers/servos/goal_values.py", _SERVOS),
     "outage": ("hil/drivers/servos/answer_timeouts.py", _SERVOS),
     "roll_call": (
-        "hil/drivers/servos/latency_probe.py",
+        "hil/drivers/servos/late_servos.py",
         ("tests/servos/test_roll_call_by_itself.py", "tests/servos/test_servo_roll_call.py"),
     ),
     "limits": (
@@ -95,12 +95,12 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
             _QUICK_OF_HOLDING,
         ),
     ),
-    "tilt": ("hil/bench/hold/tilt.py", ("tests/bench/test_tilt_seen.py", "-k", _QUICK_OF_TILT)),
+    "tilt": ("hil/bench/hold/tilt_check.py", ("tests/bench/test_tilt_seen.py", "-k", _QUICK_OF_TILT)),
     "losses": (
         "hil/bench/contract/losses.py",
         ("tests/bench/test_contract_at_rest.py", _ACCEPT, "-k", _OF_LOSSES),
     ),
-    "stillness": ("hil/bench/contract/stillness.py", ("tests/bench/test_contract_at_rest.py",)),
+    "pose_at_rest": ("hil/bench/contract/pose_at_rest.py", ("tests/bench/test_contract_at_rest.py",)),
     "fall_watch": ("hil/loop/checks/fall.py", ("tests/core/test_fall_watch.py",)),
     "pressing": ("hil/bench/hold/adhesion_force.py", ("tests/adhesion_bench/test_press_watch.py",)),
     "fault_verdicts": (

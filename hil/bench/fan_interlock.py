@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.drivers import make_device_set
-from hil.bench.hold.tilt import tilt_rad
+from hil.bench.hold.tilt_check import tilt_rad
 from hil.bench.loop_settings import adhesion_limits, can_fall, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig

@@ -26,7 +26,7 @@ from hil.core.interfaces import Controller, Estimator
 from hil.estimator import make_estimator
 from hil.loop.alignment import Alignment
 from hil.loop.pipeline import ControlPipeline
-from hil.loop.restart import Restart
+from hil.loop.resume_motion import Restart
 from hil.loop.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import check

@@ -9,14 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 from hil.calibration.corrupt_recordings import corrupt
-from hil.calibration.evaluation import cost, track_all
-from hil.calibration.excitation import Driven, check_geometry, driven
-from hil.calibration.fitting import Fit, fit, twist_between
-from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
-from hil.calibration.model_choice import Candidate, Choice, apart_m, can_choose, candidates, choose
-from hil.calibration.parameters import named, numbers
-from hil.calibration.problem import PAPER, Setting
-from hil.calibration.validation import (
+from hil.calibration.cross_validation import (
     Table,
     deployed,
     left_out,
@@ -25,6 +18,13 @@ from hil.calibration.validation import (
     score,
     table_of,
 )
+from hil.calibration.evaluation import cost, track_all
+from hil.calibration.excitation import Driven, check_geometry, driven
+from hil.calibration.fitting import Fit, fit, twist_between
+from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
+from hil.calibration.model_choice import Candidate, Choice, apart_m, can_choose, candidates, choose
+from hil.calibration.parameters import named, numbers
+from hil.calibration.problem import PAPER, Setting
 from hil.calibration.warnings import HARDLY, caveats, common_zero_rad, left_out_because, unexplained
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import DataError

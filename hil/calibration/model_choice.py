@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.calibration.cross_validation import left_out, repetition_numbers
 from hil.calibration.evaluation import Track, position_rmse, rolled
 from hil.calibration.fitting import Fit
 from hil.calibration.problem import Setting
-from hil.calibration.validation import left_out, repetition_numbers
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import reduce_recordings

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hil.calibration.cross_validation import Deployed, Table
 from hil.calibration.excitation import DIRECTIONS, Driven, driven, undriven
 from hil.calibration.fitting import Fit
 from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
-from hil.calibration.validation import Deployed, Table
 from hil.datasets.blocks import Blocks
 from hil.datasets.dataset import Recording
 from hil.datasets.initial_rest import start_of

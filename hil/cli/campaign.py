@@ -15,7 +15,7 @@ import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import SCRIPT
-from hil.cli.ended_early import shown_when_ended
+from hil.cli.interrupted_series import shown_when_ended
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting

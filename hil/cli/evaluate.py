@@ -165,9 +165,9 @@ def _doubts(
     contradicted: bool,
 ) -> list[str]:
     """Reasons to doubt these errors: a geometry that cannot be right, motions that were never fitted."""
+    from hil.calibration.cross_validation import deployed
     from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, Driven, mismatch
     from hil.calibration.problem import make_setting
-    from hil.calibration.validation import deployed
     from hil.calibration.warnings import beyond_driven, worse_as_twist
     from hil.datasets.blocks import reduce_recordings
 

@@ -15,7 +15,7 @@ import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import FAULT
-from hil.cli.ended_early import shown_when_ended
+from hil.cli.interrupted_series import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean, shown_path

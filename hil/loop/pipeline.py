@@ -28,7 +28,7 @@ from hil.core.signals import (
 )
 from hil.loop.alignment import Alignment
 from hil.loop.cycle_data import NO_INFLATION, Cycle
-from hil.loop.restart import Restart
+from hil.loop.resume_motion import Restart
 from hil.loop.supervisor import Supervisor
 from hil.loop.user_parts import call_controller, checked_update, own_name, reset_estimator
 

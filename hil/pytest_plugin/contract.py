@@ -23,9 +23,9 @@ import pytest
 
 from hil.bench import Bench
 from hil.bench.contract import Subject, at_rest, read_for
-from hil.bench.contract.faulted import each_fault_acts
+from hil.bench.contract.fault_effects import each_fault_acts
 from hil.bench.contract.losses import loses_next_to_nothing
-from hil.bench.contract.stillness import sees_no_motion
+from hil.bench.contract.pose_at_rest import sees_no_motion
 from hil.bench.doctor.examination import examine
 from hil.core.errors import DeviceError
 from hil.core.finding import Finding

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
 from hil.bench.doctor.steering_offsets import encoder_minus_servo
-from hil.bench.hold.tilt import APART_RAD, sees_the_tilt, tilt_rad
+from hil.bench.hold.tilt_check import APART_RAD, sees_the_tilt, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.core.finding import Finding

@@ -20,10 +20,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.calibration.calibrate import Calibration
 from hil.calibration.calibration_file import calibration_file, save_calibration
+from hil.calibration.cross_validation import score
 from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import PARAMETER_NAMES, make_setting
 from hil.calibration.usability_check import made_for
-from hil.calibration.validation import score
 from hil.calibration.versions import store_version
 from hil.config.bench import BenchConfig
 from hil.config.robot_record import Figure

@@ -17,10 +17,10 @@ from hil.bench.loop_settings import geometry_of, nominal_of
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.corrupt_recordings import corrupt
+from hil.calibration.cross_validation import left_out, repetition_numbers
 from hil.calibration.evaluation import Track, position_rmse, track_all
 from hil.calibration.model_choice import Candidate, Choice, candidates, choose
 from hil.calibration.problem import Setting
-from hil.calibration.validation import left_out, repetition_numbers
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array
 from hil.datasets.dataset import Recording

@@ -10,7 +10,7 @@ import hil
 from hil.bench.contract import losses
 from hil.bench.contract.device_under_test import Broken, Subject
 from hil.bench.contract.losses import loses_next_to_nothing
-from hil.bench.contract.stillness import sees_no_motion
+from hil.bench.contract.pose_at_rest import sees_no_motion
 from hil.core.clock import NS_PER_S
 from hil.loop.timing import LoopStatistics
 

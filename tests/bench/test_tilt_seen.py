@@ -9,7 +9,7 @@ import pytest
 import hil
 from hil.bench.doctor.examination import examine
 from hil.bench.hold.result import held_in_words
-from hil.bench.hold.tilt import TiltWatch, tilt_finding, tilt_rad
+from hil.bench.hold.tilt_check import TiltWatch, tilt_finding, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError, UsageError

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hil.calibration.calibrate import calibrate
+from hil.calibration.cross_validation import Deployed
 from hil.calibration.excitation import Driven, driven, mismatch
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
-from hil.calibration.validation import Deployed
 from hil.calibration.warnings import beyond_driven, unpredicted, worse_as_twist
 from hil.cli import main
 from hil.core.clock import MonotonicClock

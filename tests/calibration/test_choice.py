@@ -9,10 +9,10 @@ from hil.calibration import calibrate as calibrate_module
 from hil.calibration import model_choice as choice_module
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import calibration_file
+from hil.calibration.cross_validation import table_of
 from hil.calibration.model_choice import Candidate, Choice, apart_m, candidates, choose
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import _springs, hidden_robot, make_set
-from hil.calibration.validation import table_of
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.nominal_robot import Nominal

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.calibration.cross_validation import repeatability
 from hil.calibration.synthetic import hidden_robot, make_set
-from hil.calibration.validation import repeatability
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import pytest
 
 from hil.bench.contract import Broken, Subject
-from hil.bench.contract.faulted import each_fault_acts
+from hil.bench.contract.fault_effects import each_fault_acts
 from hil.procedure.bench_request import BenchSource
 
 IDLE = "adhesion_loss"

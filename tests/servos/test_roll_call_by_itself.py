@@ -6,7 +6,7 @@ import pytest
 
 from hil.core.signals import Status
 from hil.drivers.servos.bus import Exchange
-from hil.drivers.servos.latency_probe import LatencyProbe
+from hil.drivers.servos.late_servos import LatencyProbe
 from hil.drivers.servos.packets import Answer
 
 IN_TIME_S, NEVER = 0.003, None

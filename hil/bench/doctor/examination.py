@@ -22,7 +22,7 @@ from hil.bench.doctor.inertial_offsets import inertial_changes
 from hil.bench.doctor.port_findings import Host, host_findings
 from hil.bench.doctor.steering_offsets import slipped_between
 from hil.bench.drivers import model_of
-from hil.bench.hold.tilt import tilt_finding
+from hil.bench.hold.tilt_check import tilt_finding
 from hil.bench.loop_settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
 from hil.bench.third_party.contract_findings import find_contract_breaks

@@ -20,7 +20,7 @@ from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.frame_jumps import FrameJumps
 from hil.bench.hold.motion_since_stop import JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
-from hil.bench.hold.tilt import TiltWatch
+from hil.bench.hold.tilt_check import TiltWatch
 from hil.bench.loop_settings import can_fall
 from hil.bench.model import BenchModel
 from hil.core.clock import Clock, nanoseconds

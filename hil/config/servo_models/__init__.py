@@ -4,6 +4,7 @@ Shared by the driver and by the emulated servo, which have nothing else in commo
 another model of a family is an entry there, and no file is read before a model is needed.
 """
 
+from hil.config.servo_models.control_table_entry import Register
 from hil.config.servo_models.loading import (
     DEFAULT_MODEL,
     model_text,
@@ -13,7 +14,6 @@ from hil.config.servo_models.loading import (
     shared_register,
 )
 from hil.config.servo_models.model import Motor, Performance, ServoModel
-from hil.config.servo_models.register import Register
 
 __all__ = [
     "DEFAULT_MODEL",

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from hil.config.servo_models.control_table_entry import Register
 from hil.config.servo_models.model import Motor, Performance, ServoModel
-from hil.config.servo_models.register import Register
 from hil.core.errors import UsageError
 
 if sys.version_info >= (3, 11):

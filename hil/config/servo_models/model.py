@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hil.config.servo_models.register import Register
+from hil.config.servo_models.control_table_entry import Register
 
 _RPM = 2.0 * math.pi / 60.0
 _LEAST_SHARE, _LOW_SHARE = 2.0 / 3.0, 0.9

@@ -18,7 +18,7 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.signals import Status
 from hil.drivers.servos.bus import Bus, Exchange
-from hil.drivers.servos.latency_probe import LatencyProbe
+from hil.drivers.servos.late_servos import LatencyProbe
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.register_map import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, Fields, RegisterMap
 

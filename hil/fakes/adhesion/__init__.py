@@ -1,6 +1,6 @@
 """The emulated fan: its motor controller on CAN, its motor and battery."""
 
-from hil.fakes.adhesion.fan_truth import AdhesionTruthOptions
+from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
 from hil.fakes.adhesion.motor_controller import FAN_FAULTS, MotorNode
 from hil.fakes.adhesion.vesc_node import VescNode
 

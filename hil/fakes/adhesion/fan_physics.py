@@ -12,7 +12,7 @@ from typing import Literal
 
 from hil.config.adhesion import MotorConfig
 from hil.core.clock import NS_PER_S
-from hil.fakes.adhesion.fan_truth import AdhesionTruthOptions
+from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
 
 Mode = Literal["released", "duty", "current", "rpm", "brake"]
 

@@ -14,8 +14,8 @@ import can
 from hil.config.adhesion import MotorConfig
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.fakes.active_faults import DeviceFaults
+from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
 from hil.fakes.adhesion.fan_physics import Demand, Fan
-from hil.fakes.adhesion.fan_truth import AdhesionTruthOptions
 from hil.fakes.adhesion.forces_on_robot import Load
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.can_channel import WIRE_FAULTS, CanChannel, CanFrame

@@ -12,8 +12,8 @@ import can
 
 from hil.config.adhesion import VescConfig
 from hil.fakes.adhesion import vesc_frames
+from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
 from hil.fakes.adhesion.fan_physics import HIGHEST_DUTY, Demand
-from hil.fakes.adhesion.fan_truth import AdhesionTruthOptions
 from hil.fakes.adhesion.forces_on_robot import Load
 from hil.fakes.adhesion.motor_controller import MotorNode
 from hil.fakes.can_channel import CanChannel, CanFrame

@@ -15,8 +15,8 @@ from hil.core.clock import NS_PER_S
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.dronecan_library import Receiver, frames_of, library
 from hil.fakes.adhesion import AdhesionTruthOptions
+from hil.fakes.adhesion.fan_parameters import StatusMessage
 from hil.fakes.adhesion.fan_physics import HIGHEST_DUTY, Demand
-from hil.fakes.adhesion.fan_truth import StatusMessage
 from hil.fakes.adhesion.motor_controller import MotorNode
 from hil.fakes.can_channel import CanChannel, CanFrame
 from hil.fakes.world import World
