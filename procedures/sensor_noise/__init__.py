@@ -65,7 +65,7 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
                 low=0.5,
                 high=2.0,
                 marginal=0.2,
-                rationale="mean NIS per row with what was found: 1 where the filter is as sure as it may be",
+                rationale="median NIS with what was found: 1 where the filter is as sure as it may be",
             )
 
 
@@ -101,7 +101,7 @@ def headline(v: Mapping[str, float]) -> str:
         if name in v
     ]
     nis = [value for name, value in v.items() if name.startswith("nis.")]
-    sure = f" Mean NIS with these: {min(nis):.2f} to {max(nis):.2f}, 1 is ideal." if nis else ""
+    sure = f" Median NIS with these: {min(nis):.2f} to {max(nis):.2f}, 1 is ideal." if nis else ""
     return f"Noise in motion, one sigma: {', '.join(parts)}.{sure}"
 
 
