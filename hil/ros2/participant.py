@@ -35,7 +35,7 @@ from cyclonedds.util import duration
 from hil.core.errors import UsageError
 from hil.ros2.message_types import sample_type, type_store
 from hil.ros2.network import Network
-from hil.ros2.publishers import Publisher, handles_of, publishers_of
+from hil.ros2.publishers import Publisher, handles_of, matched, publishers_of
 
 _TOPIC = "ros_discovery_info"
 _PACKAGE = "rmw_dds_common/msg/"
@@ -240,7 +240,7 @@ class Participant:
 
     def readers(self, name: str) -> int:
         """How many readers a topic has now."""
-        return len(self._writers[name][1].get_matched_subscriptions())
+        return len(matched(self._writers[name][1].get_matched_subscriptions))
 
     def _announce_node(self) -> None:
         """Publish which writers and readers the bench's node has, where it is shown as one."""

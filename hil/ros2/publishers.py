@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +42,20 @@ class Publisher:
 
 def handles_of(entity: Any) -> list[int]:
     """Handles of the writers that match a reader of Cyclone DDS, as their messages carry them."""
-    return [handle & (1 << 64) - 1 for handle in entity.get_matched_publications()]
+    return [handle & (1 << 64) - 1 for handle in matched(entity.get_matched_publications)]
+
+
+def matched(handles: Callable[[], list[int]]) -> list[int]:
+    """Handles from a call of Cyclone DDS's Python binding.
+
+    The binding asks for their number first, and then for the handles. It raises an `IndexError` if there are
+    more by then.
+    """
+    while True:
+        try:
+            return handles()
+        except IndexError:
+            continue
 
 
 def publishers_of(participant: Any, entities: Mapping[str, Any]) -> Iterator[Publisher]:

@@ -85,8 +85,8 @@ def test_one_that_was_killed_and_comes_back_at_once_stops_the_robot_and_both_are
     time.sleep(0.5)
     first.kill()
     second = command("Twist", "linear.x=0.03")
-    code, summary, _ = ended(running)
-    assert code == 3
+    code, summary, err = ended(running)
+    assert code == 3, (summary, err)
     for answer in ("ros2_publishers", f"process {first.pid}", f"process {second.pid}", "for up to 10 s"):
         assert answer in summary["ended"]
     assert summary["held"]["state"] in ("HELD", "not needed")
