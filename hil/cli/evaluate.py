@@ -71,7 +71,7 @@ def command(
     from hil.calibration.warnings import crossed_gaps, warnings_of
     from hil.core.errors import UsageError
     from hil.datasets.read import read_recordings
-    from hil.datasets.wrong_signs import contradictions, turned_headings, without_motion
+    from hil.datasets.wrong_signs import contradictions_and_warnings, without_motion
     from hil.support.atomic_files import check_folder
 
     if deploy == "twist" and calibration is None:
@@ -104,10 +104,10 @@ def command(
     warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     geometry = robot.geometry if file is None else file.geometry
-    contradicted = contradictions(recordings, geometry)
+    contradicted, turned = contradictions_and_warnings(recordings, geometry)
     refused = without_motion(recordings) + contradicted
     warnings += _doubts(recordings, file, robot, used_signal, deploy, bool(contradicted)) + refused
-    warnings += [] if contradicted else turned_headings(recordings, geometry)
+    warnings += turned
     table["warnings"] = warnings
     table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems] + refused
     for line in warnings:

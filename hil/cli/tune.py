@@ -198,7 +198,7 @@ def _read(
     from hil.datasets.dataset import Recording
     from hil.datasets.rosbag import is_bag
     from hil.datasets.time_offset import different_clocks
-    from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest, turned_headings
+    from hil.datasets.wrong_signs import NO_MOTION, contradictions_and_warnings, is_at_rest
     from hil.estimator.tuning import TruthRun
     from hil.loop.driven_motion import Motion
     from hil.replay.estimator_comparison import truth_of
@@ -236,10 +236,9 @@ def _read(
     if config is None:
         raise UsageError("no recording given")
     if geometry is not None:
-        contradicted = contradictions(tables, geometry)
+        contradicted, turned = contradictions_and_warnings(tables, geometry)
         findings.refused += contradicted
-        findings.warnings += different_clocks(tables)
-        findings.warnings += [] if contradicted else turned_headings(tables, geometry)
+        findings.warnings += [*different_clocks(tables), *turned]
     return config, runs
 
 

@@ -37,20 +37,14 @@ def time_offset_s(recording: Recording) -> float | None:
     )
     lever = lever_m(recording.nominal.geometry)
     known = _known(grid_s, at_s)
-    truth, wheels = (
-        (np.hypot(way[:, 0], way[:, 1]) + lever * np.abs(way[:, 2])) * (known[n:] & known[:-n])
-        for way in (moved, rolled)
-    )
+    truth, wheels = (_lengths(moves, lever) * (known[n:] & known[:-n]) for moves in (moved, rolled))
     size = float(np.linalg.norm(truth) * np.linalg.norm(wheels))
     count = 2 * len(truth)
     overlap = np.fft.irfft(np.fft.rfft(truth, count) * np.fft.rfft(wheels[::-1], count), count)[:-1]
     best = int(np.argmax(overlap))
     if size == 0.0 or overlap[best] < _ALIKE * size or not 0 < best < len(overlap) - 1:
         return None
-    before, top, after = overlap[best - 1 : best + 2]
-    bend = before - 2.0 * top + after
-    part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    delay_s = float((best - len(wheels) + 1 + part) * _GRID_S)
+    delay_s = float((best - len(wheels) + 1 + _peak_offset(overlap[best - 1 : best + 2])) * _GRID_S)
     return _refined_s(recording, delay_s) if is_slow(at_s) else delay_s
 
 
@@ -67,24 +61,25 @@ def _refined_s(recording: Recording, about_s: float) -> float:
     span_s = max(_WINDOW_S, typical_s)
     delays_s = about_s + np.arange(-round(span_s / _GRID_S), round(span_s / _GRID_S) + 1) * _GRID_S
     rolled, lever = _by_wheels(recording), lever_m(recording.nominal.geometry)
-    moved = _ways(pose, lever)
-    misses = np.array(
-        [
-            np.sum((_ways(interpolate(at_s - late_s, recording.t_s, rolled), lever) - moved)[whole] ** 2)
-            for late_s in delays_s.tolist()
-        ]
-    )
+    moved = _lengths(np.diff(pose, axis=0), lever)
+    grid = (interpolate(at_s - late_s, recording.t_s, rolled) for late_s in delays_s.tolist())
+    ways = (_lengths(np.diff(shifted, axis=0), lever) for shifted in grid)
+    misses = np.array([np.sum((way - moved)[whole] ** 2) for way in ways])
     best = int(np.clip(np.argmin(misses), 1, len(misses) - 2))
-    before, least, after = misses[best - 1 : best + 2]
-    bend = before - 2.0 * least + after
-    part = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
-    return float(delays_s[best] + float(np.clip(part, -1.0, 1.0)) * _GRID_S)
+    part = float(np.clip(_peak_offset(-misses[best - 1 : best + 2]), -1.0, 1.0))
+    return float(delays_s[best] + part * _GRID_S)
 
 
-def _ways(pose: Array, lever: float) -> Array:
-    """Ways (n - 1,) between poses (n, 3), m, with turns at the distance `lever`."""
-    x, y, turn = np.diff(pose, axis=0).T
-    return np.asarray(np.hypot(x, y) + lever * np.abs(turn), dtype=np.float64)
+def _peak_offset(values: Array) -> float:
+    """Peak of the parabola through three values, in steps from the middle one; 0 without a peak."""
+    before, middle, after = values
+    bend = before - 2.0 * middle + after
+    return float(0.5 * (before - after) / bend) if bend < 0.0 else 0.0
+
+
+def _lengths(moves: Array, lever: float) -> Array:
+    """Lengths (n,) of moves (n, 3), m, with turns at the distance `lever`."""
+    return np.asarray(np.hypot(moves[:, 0], moves[:, 1]) + lever * np.abs(moves[:, 2]), dtype=np.float64)
 
 
 def _by_wheels(recording: Recording) -> Array:

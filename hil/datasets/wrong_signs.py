@@ -149,13 +149,43 @@ def without_motion(recordings: Sequence[Recording]) -> list[str]:
     return [f"{found[0]}: {NO_MOTION}{_likewise(found[1:])}"] if found else []
 
 
-def turned_headings(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
+def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
+    """One line if wheels of this geometry miss more than a fifth of the true way or turning; else none.
+
+    Slip bursts and corrupted stretches miss up to 0.16, workshop tolerances a few hundredths. One steering
+    angle with the wrong sign misses 0.25 on a circle, two exchanged wheels 0.5.
+    """
+    return _contradictions(recordings, _Strides(reduce_recordings(recordings, _BLOCK_S), geometry))
+
+
+def contradictions_and_warnings(
+    recordings: Sequence[Recording], geometry: WheelGeometry
+) -> tuple[list[str], list[str]]:
+    """As `contradictions`; where there are none, a warning of a heading off by 0.1 rad or more."""
+    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
+    found = _contradictions(recordings, strides)
+    return found, [] if found else _turned_headings(recordings, strides)
+
+
+def _contradictions(recordings: Sequence[Recording], strides: _Strides) -> list[str]:
+    missed = strides.missed(strides.rolled(), strides.moved())
+    found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
+    if not found:
+        return []
+    likewise = _likewise([recordings[i].name for i in found[1:]], "likewise, by less")
+    return [
+        f"{recordings[found[0]].name}: from second to second the wheels miss {100 * missed[found[0]]:.0f} % "
+        f"of the way or turning that the ground truth shows{likewise}; no tolerance explains "
+        f"that: {CHECK_COLUMNS}"
+    ]
+
+
+def _turned_headings(recordings: Sequence[Recording], strides: _Strides) -> list[str]:
     """One line if the ground truth moves at a constant angle to the rolling direction; else none.
 
     A heading of the ground truth that is not the robot's has this effect. Named from 0.1 rad on, where
     turning by that angle explains more than half of the difference.
     """
-    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
     both = strides.counted(strides.rolled()), strides.counted(strides.moved())
     rolled, moved = (moves[..., 0] + 1j * moves[..., 1] for moves in both)
     angle_rad = np.angle((rolled.conj() * moved).sum(axis=1))
@@ -178,24 +208,6 @@ def turned_headings(recordings: Sequence[Recording], geometry: WheelGeometry) ->
 def _likewise(others: Sequence[str], how: str = "likewise") -> str:
     more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
     return f" ({how}: {', '.join(others[:_NAMED])}{more})" if others else ""
-
-
-def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
-    """One line if wheels of this geometry miss more than a fifth of the true way or turning; else none.
-
-    Slip bursts and corrupted stretches miss up to 0.16, workshop tolerances a few hundredths. One steering
-    angle with the wrong sign misses 0.25 on a circle, two exchanged wheels 0.5.
-    """
-    missed = missed_shares(recordings, geometry)
-    found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
-    if not found:
-        return []
-    likewise = _likewise([recordings[i].name for i in found[1:]], "likewise, by less")
-    return [
-        f"{recordings[found[0]].name}: from second to second the wheels miss {100 * missed[found[0]]:.0f} % "
-        f"of the way or turning that the ground truth shows{likewise}; no tolerance explains "
-        f"that: {CHECK_COLUMNS}"
-    ]
 
 
 def _place(recording: Recording) -> str:

@@ -27,7 +27,7 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map
-from hil.datasets.wrong_signs import check_signs, contradictions, turned_headings
+from hil.datasets.wrong_signs import check_signs, contradictions_and_warnings
 from hil.recording.mcap_reader import RecordingReader
 from hil.recording.runs import RecordedRun, read_runs
 from hil.robot.kinematics import WheelGeometry
@@ -87,13 +87,17 @@ class OpenedRecording:
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
         other = [f"{found}; {OTHER_ROBOT}"] if found else []
-        turned = [] if self.contradicted else turned_headings(self.tables, self.bench.geometry)
-        return [*failed, *reported, *assumed, *other, *turned]
+        return [*failed, *reported, *assumed, *other, *self._by_wheels[1]]
 
-    @cached_property
+    @property
     def contradicted(self) -> list[str]:
         """One line if a foreign recording's wheels contradict its ground truth; complete after `runs`."""
-        return contradictions(self.tables, self.bench.geometry) if self.tables else []
+        return self._by_wheels[0]
+
+    @cached_property
+    def _by_wheels(self) -> tuple[list[str], list[str]]:
+        """Contradictions and warnings: wheels of a foreign recording against its ground truth."""
+        return contradictions_and_warnings(self.tables, self.bench.geometry) if self.tables else ([], [])
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
