@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.core.clock import NS_PER_S
-from hil.core.geometry import Array, Bools, compose, se2_exp
+from hil.core.geometry import Array, compose, se2_exp
 from hil.core.interfaces import Estimator
 from hil.core.named_records import Records
 from hil.core.signals import Measurements, RobotState, WheelMeasurement
@@ -91,8 +91,10 @@ class OdometryEstimator(Estimator):
             return
         usable = _usable(sample)
         if self._noise.source == "velocity":
-            usable &= np.isfinite(sample.wheel_rate_rad_s)
-        if usable.sum() < _LEAST_WHEELS:
+            usable = [
+                u and math.isfinite(r) for u, r in zip(usable, sample.wheel_rate_rad_s.tolist(), strict=True)
+            ]
+        if sum(usable) < _LEAST_WHEELS:
             self._rejected += 1
             return
         last = self._last
@@ -100,21 +102,23 @@ class OdometryEstimator(Estimator):
             self._last = sample
             return
         dt = (sample.stamp.t_ns - last.stamp.t_ns) / NS_PER_S
-        usable &= _usable(last)
-        if dt <= 0.0 or usable.sum() < _LEAST_WHEELS:
+        usable = [u and k for u, k in zip(usable, _usable(last), strict=True)]
+        if dt <= 0.0 or sum(usable) < _LEAST_WHEELS:
             self._rejected += 1
             self._last = last if dt <= 0.0 else sample
             return
         self._integrate(self._displacement(last, sample, usable, dt), dt)
         self._last = sample
 
-    def _displacement(self, last: WheelMeasurement, now: WheelMeasurement, usable: Bools, dt: float) -> Array:
+    def _displacement(
+        self, last: WheelMeasurement, now: WheelMeasurement, usable: list[bool], dt: float
+    ) -> Array:
         turned = now.wheel_angle_rad - last.wheel_angle_rad
         if self._noise.source == "velocity":
             turned = now.wheel_rate_rad_s * dt
         heading = 0.5 * (now.steering_rad + last.steering_rad) - self._geometry.steering_zero_rad
         u = wheel_vectors(turned * self._geometry.radius_m, heading)
-        if usable.all():
+        if all(usable):
             if self._model in ("dry-friction", "creep"):
                 decay = math.exp(-dt / self._noise.friction_window_s)
                 return _windowed(u, self._window, decay, self._contacts, self._model == "creep")
@@ -152,6 +156,7 @@ class OdometryEstimator(Estimator):
         slopes[2, 2] += rolled_m
 
 
-def _usable(sample: WheelMeasurement) -> Bools:
-    """Which wheels (4,) are marked valid and have both angles."""
-    return np.asarray(sample.valid) & np.isfinite(sample.wheel_angle_rad) & np.isfinite(sample.steering_rad)
+def _usable(sample: WheelMeasurement) -> list[bool]:
+    """Which wheels are marked valid and have both angles."""
+    values = zip(sample.valid, sample.wheel_angle_rad.tolist(), sample.steering_rad.tolist(), strict=True)
+    return [bool(ok) and math.isfinite(turned) and math.isfinite(steered) for ok, turned, steered in values]
