@@ -43,7 +43,7 @@ _VALIDATION_BLOCK_S = 0.5
 class Calibration:
     """Result of a calibration; `to_json` gives the documented keys.
 
-    `robot` is the nominal robot that errors before are computed with. `choice` tells how held-out recordings
+    `robot` is the nominal robot that errors before are computed with. `choice` shows how held-out recordings
     decided the forward model, None where they did not. `apart_m` is the distance, per metre of each motion,
     from the end of its path to the ends by other models that may be as right. All figures are of
     `recordings`, those that were fitted; `rejected` gives the reason why others were left out, by name.
@@ -83,7 +83,7 @@ class Calibration:
 
     @cached_property
     def explains(self) -> bool:
-        """Whether the result explains the recordings; if not, a warning tells what to look for.
+        """Whether the result explains the recordings; if not, a warning gives what to look for.
 
         It does not where recordings that count contradict the nominal robot, nor where a parameter ended at
         the bound of its prior (ten standard deviations).

@@ -64,7 +64,7 @@ class CanConfig(DeviceConfig):
         return {**reported, **found}
 
     def claims(self) -> Iterable[Claim]:
-        """Identifiers that belong to the device, as far as its table tells."""
+        """Identifiers that belong to the device, as far as its table gives them."""
         return ()
 
 

@@ -7,7 +7,7 @@ the state, `odd` (20, 8) holds odd parts, `cross` (8, 20) is the covariance of r
 
 A library call or a temporary array costs more than the work on a 20x20 matrix. All loops run along rows in
 memory, so that the compiler can vectorise them; each sum is added up in the same order as in scalar code.
-Where one matrix is read and written (`hil.estimator.process_model`), `check_size` tells the compiler the row
+Where one matrix is read and written (`hil.estimator.process_model`), `check_size` gives the compiler the row
 stride; without it the loop is not vectorised. Copies are loops because numba takes four seconds to compile
 the error message of an array assignment whose shapes do not match.
 """
