@@ -138,7 +138,8 @@ class ImuSample:
     """Rates, gravity and attitude of an inertial unit, in the sensor's own frame.
 
     Attributes:
-        quaternion_wxyz: shape (4,), sensor in its gravity-levelled reference frame.
+        quaternion_wxyz: shape (4,), sensor in its gravity-levelled reference frame. Without magnetometer, the
+            heading is relative to that of the sensor when it was switched on or reset.
         gyro_rad_s: shape (3,).
         linear_acceleration_m_s2: shape (3,), without gravity.
         gravity_m_s2: shape (3,), points **up** (specific force at rest), sensor frame.

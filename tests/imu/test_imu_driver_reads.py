@@ -1,11 +1,12 @@
 """The driver on the emulated chip: what it reports is the truth of the world, within the sensor's errors."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hil.core.geometry import quat_conjugate, quat_rotate
+from hil.core.geometry import quat_conjugate, quat_rotate, yaw_of_quat
 from hil.core.signals import Status
 from hil.fakes.imu import ImuTruthOptions
 
@@ -62,6 +63,32 @@ def test_the_configured_remap_makes_the_mount_true(imu_bench, turning_plant, axi
     bench.driver.open()
     gravity = settle(bench, 5)[-1].gravity_m_s2
     np.testing.assert_allclose(gravity, 9.80665 * np.array([math.cos(0.3), -math.sin(0.3), 0.0]), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("fusion_mode", "relative"),
+    [("imu", True), ("m4g", True), ("compass", False), ("ndof_fmc_off", False), ("ndof", False)],
+)
+def test_the_heading_is_relative_to_the_start_or_to_north(imu_bench, turning_plant, fusion_mode, relative):
+    """Which modes give which: Bosch BNO055 datasheet rev 1.4, 3.3.3."""
+    facing_rad, turned_rad = 0.7, 0.5
+    bench = imu_bench(
+        "imu:reset@3",
+        plant=turning_plant(tilt_rad=0.0, theta_rad=facing_rad),
+        options=replace(IDEAL, gyro_noise_rad_s=2e-3, accelerometer_noise_m_s2=0.02),
+        config={"fusion_mode": fusion_mode},
+    )
+
+    def heading_rad(cycles):
+        sample = settle(bench, cycles)[-1]
+        assert sample.status is Status.OK
+        return yaw_of_quat(sample.quaternion_wxyz)
+
+    bench.driver.open()
+    assert heading_rad(20) == pytest.approx(0.0 if relative else facing_rad, abs=1e-3)
+    bench.plant.theta_rad += turned_rad
+    assert heading_rad(20) == pytest.approx(turned_rad if relative else facing_rad + turned_rad, abs=1e-3)
+    assert heading_rad(500) == pytest.approx(0.0 if relative else facing_rad + turned_rad, abs=1e-3)
 
 
 def test_the_gyro_reads_the_rate_about_the_wall_normal(imu_bench, turning_plant):

@@ -41,15 +41,34 @@ def test_quaternion_and_gravity_agree_at_any_tilt(bench, turning_plant, tilt_rad
     np.testing.assert_allclose(9.780325 * up, sample.gravity_m_s2, atol=1e-4)
 
 
-def test_the_quaternion_turns_as_the_robot_does(bench, turning_plant, ideal):
-    """Attitude is with respect to axes that have z up: a turn to the left is positive about up."""
-    headings = []
-    for theta_rad in (0.0, 0.5):
-        b = bench(plant=turning_plant(tilt_rad=0.0, theta_rad=theta_rad), options=ideal)
-        b.driver.open()
-        forward = quat_rotate(b.run(0.1)[-1].quaternion_wxyz, [1.0, 0.0, 0.0])
-        headings.append(math.atan2(forward[1], forward[0]))
-    assert headings[1] - headings[0] == pytest.approx(0.5, abs=1e-6)
+@pytest.mark.parametrize("magnetometer", [False, True])
+def test_the_quaternion_turns_as_the_robot_does(bench, turning_plant, ideal, magnetometer):
+    """A turn to the left is positive about up; without magnetometer it is from the start of the filter.
+
+    Source: 3DM-CV7 user manual, "Filter Initialization".
+    """
+    facing_rad, turned_rad = 0.7, 0.5
+    b = bench(
+        "imu:reset@3",
+        plant=turning_plant(tilt_rad=0.0, theta_rad=facing_rad),
+        options=dataclasses.replace(ideal, gyro_noise_rad_s=1e-4),
+        config={"magnetometer": magnetometer},
+    )
+
+    def heading_rad(duration_s):
+        """Of the robot about up: the driver gives attitude in axes that have z up."""
+        sample = b.run(duration_s)[-1]
+        assert sample.status is Status.OK
+        forward = quat_rotate(sample.quaternion_wxyz, [1.0, 0.0, 0.0])
+        return math.atan2(forward[1], forward[0])
+
+    b.driver.open()
+    start_rad = facing_rad if magnetometer else 0.0
+    assert heading_rad(0.1) == pytest.approx(start_rad, abs=1e-6)
+    b.plant.theta_rad += turned_rad
+    assert heading_rad(0.1) == pytest.approx(start_rad + turned_rad, abs=1e-6)
+    again_rad = facing_rad + turned_rad if magnetometer else 0.0
+    assert heading_rad(9.0) == pytest.approx(again_rad, abs=1e-6)
 
 
 def test_the_gyro_reads_the_rate_about_the_wall_normal(bench, turning_plant, ideal):

@@ -26,13 +26,18 @@ STATUS_IDLE, STATUS_FUSION, STATUS_NO_FUSION = 0, 5, 6
 
 @dataclass(frozen=True)
 class Mode:
-    """Sensors that are on in an operating mode, and its output rate."""
+    """Sensors that are on in an operating mode, and its output rate.
+
+    A fusion gives the heading relative to that at its start or, if `absolute`, to magnetic north
+    (datasheet 3.3.3).
+    """
 
     accelerometer: bool
     magnetometer: bool
     gyroscope: bool
     fusion: bool
     rate_hz: float = 100.0
+    absolute: bool = False
 
 
 MODES = {
@@ -45,10 +50,10 @@ MODES = {
     0x6: Mode(False, True, True, False),
     0x7: Mode(True, True, True, False),
     0x8: Mode(True, False, True, True),
-    0x9: Mode(True, True, False, True, 20.0),
+    0x9: Mode(True, True, False, True, 20.0, absolute=True),
     0xA: Mode(True, True, False, True, 50.0),
-    0xB: Mode(True, True, True, True),
-    0xC: Mode(True, True, True, True),
+    0xB: Mode(True, True, True, True, absolute=True),
+    0xC: Mode(True, True, True, True, absolute=True),
 }
 CONFIG = 0x0
 

@@ -87,17 +87,17 @@ def sense(
         chip[OUT_OF_BODY + 5] * w + 0.0 * uy + o[GYROSCOPE + 1] + noisy * noise[4],
         chip[OUT_OF_BODY + 8] * w + 0.0 * uz + o[GYROSCOPE + 2] + noisy * noise[5],
     )
-    q = attitude(theta, tilt, chip, state)
     field = (0.0, 0.0, 0.0)
     if magnetometer:
-        noisy, (bx, by, bz) = chip[FIELD_NOISE], magnetic_field(q)
+        noisy, (bx, by, bz) = chip[FIELD_NOISE], magnetic_field(attitude(theta, tilt, 0.0, chip))
         field = (
             bx + 0.0 * ux + o[MAGNETOMETER] + noisy * noise[6],
             by + 0.0 * uy + o[MAGNETOMETER + 1] + noisy * noise[7],
             bz + 0.0 * uz + o[MAGNETOMETER + 2] + noisy * noise[8],
         )
+    else:
+        state[YAW_ERROR] += chip[YAW_DRIFT] * dt
     # The fusion: offset and leaked acceleration tilt its vertical.
-    state[YAW_ERROR] += chip[YAW_DRIFT] * dt
     k = min(1.0, dt / chip[LEAKAGE])
     lx = state[LEAK] + k * (kx - state[LEAK])
     ly = state[LEAK + 1] + k * (ky - state[LEAK + 1])
@@ -109,7 +109,7 @@ def sense(
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     x, y, z = x * scale, y * scale, z * scale
     tipped = (1.0, 0.5 * (y * uz - z * uy), 0.5 * (z * ux - x * uz), 0.5 * (x * uy - y * ux))
-    qw, qx, qy, qz = multiplied(q, tipped)
+    qw, qx, qy, qz = multiplied(attitude(theta, tilt, state[YAW_ERROR], chip), tipped)
     n = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     gx, gy, gz = x * g, y * g, z * g
     fused = (qw * n, qx * n, qy * n, qz * n)
@@ -123,12 +123,12 @@ def turned(m: Array, x: float, y: float, z: float) -> Three:
 
 
 @inner
-def attitude(theta: float, tilt: float, chip: Array, state: Array) -> Four:
-    """Attitude of the fusion without leaked acceleration; chip (20,), state (6,).
+def attitude(theta: float, tilt: float, yaw_error: float, chip: Array) -> Four:
+    """Attitude of the output axes in earth axes, with this error of the heading; rad; chip (20,).
 
     Rotations: heading error, then tilt, then heading of the body.
     """
-    yaw, half, turn = 0.5 * state[YAW_ERROR], -0.5 * tilt, 0.5 * theta
+    yaw, half, turn = 0.5 * yaw_error, -0.5 * tilt, 0.5 * theta
     cy, sy, ch, sh = math.cos(yaw), math.sin(yaw), math.cos(half), math.sin(half)
     ct, st = math.cos(turn), math.sin(turn)
     w, x, y, z = cy * ch, -(sy * sh), cy * sh, sy * ch

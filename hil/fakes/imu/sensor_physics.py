@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core.geometry import Four as Quaternion
+from hil.core.geometry import yaw_of_quat
 from hil.fakes.body_interface import BodyMotion
 from hil.fakes.imu import output_sample
 from hil.fakes.imu.bno055_registers import Mode
@@ -24,6 +25,7 @@ from hil.support.numba_jit import compile_for, plain
 _BLOCK = 1024
 _STILL_RATE_RAD_S = 0.003
 _STILL_SPEED_M_S = 0.001
+_UPSIDE_DOWN = 1e-6
 
 Matrix = tuple[Vector, Vector, Vector]
 
@@ -173,7 +175,7 @@ class InertialSensors:
 
     @property
     def yaw_error_rad(self) -> float:
-        """Error of the fused heading, rad."""
+        """Fused heading minus the true one, rad."""
         return float(self._state[output_sample.YAW_ERROR])
 
     def turn(self, angle_rad: float) -> None:
@@ -190,7 +192,8 @@ class InertialSensors:
             self._chip[at] = value
 
     def restart_fusion(self) -> None:
-        """Restart the fusion: clear leaked acceleration and the last rate; the heading is kept."""
+        """Restart the fusion: clear leaked acceleration, last rate and heading."""
+        self._starting = True
         for at in (
             output_sample.LEAK,
             output_sample.LEAK + 1,
@@ -204,6 +207,8 @@ class InertialSensors:
         """Return the sensor outputs for the present motion of the body, `dt_s` after the previous call."""
         if mode.fusion:
             self._learn(body, dt_s)
+            if self._starting:
+                self._start_heading(body, mode)
         self._leave_offsets()
         if not self._row:
             self._draws, self._row = self._rng.standard_normal((_BLOCK, output_sample.DRAWS)), _BLOCK
@@ -219,6 +224,17 @@ class InertialSensors:
         )
         self._row -= 1
         return Sensed(*outputs)
+
+    def _start_heading(self, body: BodyMotion, mode: Mode) -> None:
+        """Set the heading at the start of the fusion: 0, or the true one in absolute modes.
+
+        The heading is the rotation about the vertical (twist). A sensor upside down has none.
+        """
+        self._starting = False
+        q = output_sample.attitude(body.theta_rad, body.tilt_rad, 0.0, self._chip)
+        has_heading = math.hypot(q[0], q[3]) > _UPSIDE_DOWN
+        relative = has_heading and not mode.absolute
+        self._state[output_sample.YAW_ERROR] = -yaw_of_quat(q) if relative else 0.0
 
     def _learn(self, body: BodyMotion, dt_s: float) -> None:
         """Calibrate from the present attitude and motion."""

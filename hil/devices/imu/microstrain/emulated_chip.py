@@ -221,7 +221,7 @@ class MicrostrainChip(SerialChip):
         settings = self.commands.settings
         self.sensing.heading_error_rad += self._faults.jump_rad(t_ns)
         truth = self._world.plant.truth()
-        fused = self._faults.distort(self.sensing.sense(truth, drifts=not settings.magnetometer), t_ns)
+        fused = self._faults.distort(self.sensing.sense(truth, relative=not settings.magnetometer), t_ns)
         fused = _turned(fused, settings.transform_rad)
         state = self._state(t_ns)
         valid = int(state >= f.FIRST_RUNNING_STATE)

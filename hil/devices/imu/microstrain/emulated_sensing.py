@@ -1,7 +1,8 @@
 """The measurements of the emulated MicroStrain sensor, and the outputs of its filter.
 
 Earth axes: z up, x along the horizontal direction that wall X leans to; they are the filter's north, west
-and up, turned by its heading error. Plain floats throughout: this runs up to a thousand times a second of
+and up, turned by its heading error. Without magnetometer the heading is 0 where the filter starts (3DM-CV7
+user manual, "Filter Initialization"). Plain floats throughout: this runs up to a thousand times a second of
 emulated time. All vectors that leave are in sensor axes, attitude is with respect to north, east, down.
 """
 
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.geometry import Four, Three, conjugated, multiplied, rotated
+from hil.core.geometry import Four, Three, conjugated, multiplied, rotated, yaw_of_quat
 from hil.fakes.body_interface import PlantState
 
 GRAVITY_M_S2 = 9.80665
@@ -90,25 +91,29 @@ class Sensing:
         self.gyro_bias: Three = _drawn(rng, options.gyro_bias_rad_s)
         self.accelerometer_offset: Three = _drawn(rng, options.accelerometer_offset_m_s2)
         self._drift_rad_s = float(rng.normal(0.0, options.heading_drift_rad_s))
-        self.heading_error_rad = 0.0
         self.restart()
 
     def restart(self) -> None:
         """Restart the filter."""
         self._leak: Three = (0.0, 0.0, 0.0)
         self._last: tuple[int, float] | None = None
+        self.heading_error_rad = 0.0
 
-    def sense(self, truth: PlantState, *, drifts: bool) -> Fused:
+    def sense(self, truth: PlantState, *, relative: bool) -> Fused:
         """Filter outputs for the present true state.
 
         Args:
             truth: true state of the plant.
-            drifts: whether the heading drifts, as no magnetometer corrects it.
+            relative: whether the heading is relative to that at the start of the filter, and drifts, as no
+                magnetometer corrects it.
         """
         theta, tilt = float(truth.pose_body_in_wall[2]), truth.tilt_rad
         turn = float(truth.twist_body[2])
+        if relative and self._last is None:
+            start = multiplied(_UP_TO_NED, multiplied(_attitude(theta, tilt, 0.0), self._mount))
+            self.heading_error_rad += yaw_of_quat(start)
         kinematic, dt_s = self._motion(truth, turn)
-        if drifts:
+        if relative:
             self.heading_error_rad += self._drift_rad_s * dt_s
         sensor_in_earth = multiplied(_attitude(theta, tilt, self.heading_error_rad), self._mount)
         up = rotated(conjugated(sensor_in_earth), (0.0, 0.0, 1.0))
