@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from operator import attrgetter
 
@@ -73,6 +73,7 @@ class Bench(HeldDevices):
         waits_for_sensors: whether to wait for a lost sensor beyond its `fail_after_s`, in real time: for
             programs that watch a resting robot. Set it before the bench is entered.
         own_controller: makes the controller of every trajectory from the model; None for the configured law.
+        undivided: as in `ControlLoop`.
         driven_by: name of an external program that drives every trajectory, and the function that queries it;
             None without one.
         lost: errors of devices that ended a run of the bench, as texts.
@@ -92,6 +93,7 @@ class Bench(HeldDevices):
         super().__init__(model, clock, rig, sinks=sinks, faults=faults)
         self.world = world
         self.own_controller: MakeController | None = None
+        self.undivided: Callable[[], AbstractContextManager[None]] = nullcontext
         self.driven_by: tuple[str, CommandingSink] | None = None
         self._left: RobotState | None = None
         self.warnings: list[str] = []
@@ -387,6 +389,7 @@ class Bench(HeldDevices):
             sinks=(*self._sinks, self._hold),
             truth=self._recorded_truth,
         )
+        loop.undivided = self.undivided
         self.statistics = loop.statistics
         return loop
 

@@ -18,6 +18,7 @@ cycle, as numbered in both modules:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,9 @@ class ControlLoop:
         truth: true state of an emulated robot, for the records only; it is not used for control.
 
     Attributes:
+        undivided: makes the context in which devices are read and commanded, records are written, and the
+            clock sleeps. In that of a procedure, a signal of the user waits for the end of the block: it
+            divides no exchange with a device and no action of an emulated one.
         idle: called with the next deadline (ns) when a cycle is done; may use the time until then. None at
             first: a bench in real time sets it for its runs.
     """
@@ -74,6 +78,7 @@ class ControlLoop:
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
         self.sinks = sinks
+        self.undivided: Callable[[], AbstractContextManager[None]] = nullcontext
         self.idle: Callable[[int], None] | None = None
         self.statistics = LoopStatistics()
         self._cycle = self._sinks_ns = 0
@@ -85,7 +90,8 @@ class ControlLoop:
         self._began_ns = None
         try:
             while True:
-                self.clock.sleep_until_ns(deadline_ns)  # 10
+                with self.undivided():
+                    self.clock.sleep_until_ns(deadline_ns)  # 10
                 self._heed_sinks()
                 record = self.cycle(deadline_ns)
                 if until(record):
@@ -95,45 +101,48 @@ class ControlLoop:
                     self.idle(deadline_ns)
                 self._rest()
         finally:
-            if self.rig.servos is not None:
-                self.rig.servos.stop()
-            self._rest()
+            with self.undivided():
+                if self.rig.servos is not None:
+                    self.rig.servos.stop()
+                self._rest()
 
     def cycle(self, deadline_ns: int) -> CycleRecord:
         """Run one cycle; `timing_ns["sinks"]` of its record is that of the previous cycle."""
         start_ns = self.clock.now_ns()
         laps = Laps(self.clock, start_ns)
         lap = laps.done
-        inputs = self._read(start_ns)  # 1
+        with self.undivided():
+            inputs = self._read(start_ns)  # 1
         lap("read")
         try:
             decision = self.pipeline.decide(inputs, lap)  # 2 to 7
         except SafetyStop as stop:
             self._stopped(inputs, stop)
             raise
-        if self.pipeline.commands and self.rig.servos is not None:
-            self.rig.servos.command(decision.command)  # 8
-        lap("write")
-        timing = {**laps.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
-        record = CycleRecord(
-            self._cycle,
-            deadline_ns,
-            start_ns,
-            inputs,
-            decision.measurements,
-            decision.state,
-            decision.reference,
-            decision.setpoint,
-            decision.command,
-            decision.events,
-            decision.observers,
-            timing,
-            self._truth(),
-            decision.external,
-        )
-        for sink in self.sinks:  # 9
-            sink.write(record)
-        lap("sinks")
+        with self.undivided():
+            if self.pipeline.commands and self.rig.servos is not None:
+                self.rig.servos.command(decision.command)  # 8
+            lap("write")
+            timing = {**laps.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
+            record = CycleRecord(
+                self._cycle,
+                deadline_ns,
+                start_ns,
+                inputs,
+                decision.measurements,
+                decision.state,
+                decision.reference,
+                decision.setpoint,
+                decision.command,
+                decision.events,
+                decision.observers,
+                timing,
+                self._truth(),
+                decision.external,
+            )
+            for sink in self.sinks:  # 9
+                sink.write(record)
+            lap("sinks")
         self._count(start_ns, deadline_ns, laps.timing_ns)
         return record
 
@@ -183,29 +192,30 @@ class ControlLoop:
 
     def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
         """Stop the robot at once and write a last record with the reason and the checks' figures."""
-        if self.rig.servos is not None:
-            self.rig.servos.stop()
-        if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:
-            self.rig.brace()
-        event = Event(inputs.t_ns, "error", source, str(stop))
-        zero = np.zeros(4)
-        nothing = Measurements(inputs.cycle, inputs.t_ns, added=inputs.added)
-        figures = {} if source == OUTSIDE else dict(self.pipeline.figures)
-        state = RobotState(
-            inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan), figures
-        )
-        record = CycleRecord(
-            self._cycle,
-            inputs.t_ns,
-            inputs.t_ns,
-            inputs,
-            nothing,
-            state,
-            self.pipeline.reference,
-            WheelSetpoint(zero, zero),
-            ServoSetpoint(zero, zero),
-            (event,),
-            external=self.pipeline.heard,
-        )
-        for sink in self.sinks:
-            sink.write(record)
+        with self.undivided():
+            if self.rig.servos is not None:
+                self.rig.servos.stop()
+            if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:
+                self.rig.brace()
+            event = Event(inputs.t_ns, "error", source, str(stop))
+            zero = np.zeros(4)
+            nothing = Measurements(inputs.cycle, inputs.t_ns, added=inputs.added)
+            figures = {} if source == OUTSIDE else dict(self.pipeline.figures)
+            state = RobotState(
+                inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan), figures
+            )
+            record = CycleRecord(
+                self._cycle,
+                inputs.t_ns,
+                inputs.t_ns,
+                inputs,
+                nothing,
+                state,
+                self.pipeline.reference,
+                WheelSetpoint(zero, zero),
+                ServoSetpoint(zero, zero),
+                (event,),
+                external=self.pipeline.heard,
+            )
+            for sink in self.sinks:
+                sink.write(record)

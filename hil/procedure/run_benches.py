@@ -33,7 +33,7 @@ class Recordings:
 
     Args:
         results: receives names of recordings, and notes on incomplete ones.
-        interrupts: signals, deferred while a record is written.
+        interrupts: signals, deferred while a note is written and a file is closed.
         on_failure: see the attribute.
 
     Attributes:
@@ -165,6 +165,7 @@ class RunBenches:
         bench = source.open()
         self._bench_name = self.left.begin(label)
         bench.warns_not_held = False
+        bench.undivided = self._interrupts.deferred
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)

@@ -140,12 +140,12 @@ def _nothing() -> None:
 
 
 class RunRecorder(McapRecorder):
-    """A recorder that a signal does not interrupt within a record.
+    """A recorder that a signal does not interrupt within a note; the loop sees to its records.
 
     Args:
         path: file of the recording.
         header: JSON values.
-        interrupts: signals, deferred while a record is written.
+        interrupts: signals, deferred while a note is written and the file is closed.
         lossless: drop no records, for virtual time.
         on_failure: whether a full disk stops the run.
     """
@@ -161,11 +161,6 @@ class RunRecorder(McapRecorder):
     ) -> None:
         self._interrupts = interrupts
         super().__init__(path, header, lossless=lossless, on_failure=on_failure)
-
-    def write(self, record: CycleRecord) -> None:
-        """Write one record."""
-        with self._interrupts.deferred():
-            super().write(record)
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Write a note.

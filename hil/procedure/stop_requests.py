@@ -3,9 +3,9 @@
 The first SIGINT requests an orderly end after the current step, which may take `patience_s`. A second
 SIGINT, SIGTERM, SIGHUP or a step that takes longer stops the work at once: `Aborted` is raised in the main
 thread, and the robot is stopped. It is raised once, so that stopping is not interrupted. Inside `deferred()`
-(writing a record, opening and closing a bench, teardown, everything after the verdict) a signal waits for the
-end of the block. It does not wait for code of a device package that has been running for too long, because
-this may never return.
+(exchanges with devices, writing a record, opening and closing a bench, teardown, everything after the
+verdict) a signal waits for the end of the block. It does not wait for code of a device package that has been
+running for too long, because this may never return.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 
 from hil.bench.third_party.call_timeout import leave
@@ -53,6 +53,7 @@ class Interrupts:
         self._sigints = 0
         self._stop: str | None = None
         self._deferred = 0
+        self._deferral = _Deferral(self)
         self._raised = False
 
     @property
@@ -119,14 +120,9 @@ class Interrupts:
         self._raised = True
         return Aborted(f"stopped by {_BY[self._stop or _TWICE]} while this was running: {running}")
 
-    @contextmanager
-    def deferred(self) -> Iterator[None]:
+    def deferred(self) -> AbstractContextManager[None]:
         """Defer a stop to the end of the block."""
-        self._deferred += 1
-        try:
-            yield
-        finally:
-            self._deferred -= 1
+        return self._deferral
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
@@ -150,6 +146,19 @@ class Interrupts:
                 if not self._installed and self._timer is not None:
                     self._timer.cancel()
                     self._timer.join()  # a signal that it has sent is still handled here
+
+
+class _Deferral(AbstractContextManager[None]):
+    """The context of `Interrupts.deferred`; entered several times a cycle, so written out."""
+
+    def __init__(self, interrupts: Interrupts) -> None:
+        self._interrupts = interrupts
+
+    def __enter__(self) -> None:
+        self._interrupts._deferred += 1
+
+    def __exit__(self, *_: object) -> None:
+        self._interrupts._deferred -= 1
 
 
 @contextmanager

@@ -12,9 +12,11 @@ import pytest
 from hil.cli.run import text_of
 from hil.core.errors import Aborted, ConfigError, DeviceError, UsageError
 from hil.procedure import Measurement, procedure
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.operator import Answers, Terminal
 from hil.procedure.stop_requests import Interrupts, time_limit
 from hil.report.run_page import write_run_page
+from tests.patience import FANLESS
 
 LIMITS = (Measurement("good", "mm", high=10.0, rationale="because"), Measurement("seen", "s"))
 
@@ -236,6 +238,39 @@ def test_a_signal_waits_for_the_end_of_what_must_be_whole():
         interrupts.handle(signal.SIGTERM)
     with pytest.raises(Aborted, match="SIGTERM"):
         interrupts.stop_here()
+
+
+class StruckPart:
+    """A part of the emulated world in whose action the process gets a signal, 0.2 s after the start."""
+
+    def __init__(self, world):
+        self.begun = self.finished = 0
+        self._due_ns = world.now_ns + 200_000_000
+
+    def next_due_ns(self):
+        return self._due_ns
+
+    def on_due(self, t_ns):
+        self._due_ns = t_ns + 10_000_000
+        self.begun += 1
+        os.kill(os.getpid(), signal.SIGTERM)
+        self.finished += 1
+
+
+def test_a_signal_divides_no_action_of_an_emulated_device(run_small):
+    """Else the device is in a state that no device is ever in, when the robot is held at the end."""
+    parts = []
+
+    @procedure(name="struck", needs=("servos",))
+    def struck(ctx):
+        parts.append(StruckPart(ctx.bench.world))
+        ctx.bench.world.add(parts[0])
+        ctx.bench.observe(1.0, feedback="odometry")
+
+    result = run_small(struck, source=BenchSource("emulated", seed=1, overrides=FANLESS))
+    assert (result.verdict, result.exit_code) == ("ABORTED", 4)
+    assert parts[0].begun == parts[0].finished > 0
+    assert not result.teardown_errors
 
 
 def test_a_prompt_without_anybody_aborts(run_small, tmp_path, monkeypatch):
