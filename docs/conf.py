@@ -20,6 +20,7 @@ include_patterns = [
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
 default_role = "code"
+highlight_language = "text"  # for a block that names no language: mostly output of a command
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
