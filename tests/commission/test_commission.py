@@ -259,7 +259,33 @@ def test_a_part_that_is_gone_or_another_has_its_procedure_repeated():
     assert "camera is no longer in the record" in reason_to_repeat(CAMERA, before, SOURCE.config, {})
     other = PART.model_copy(update={"figures": {"scale": Figure(value=1.02)}})
     assert "is another than it had left" in reason_to_repeat(CAMERA, before, SOURCE.config, {"camera": other})
-    assert "older version" in reason_to_repeat(CAMERA, None, SOURCE.config, {"camera": PART})
+
+
+STATE = {
+    "options": {"seed": 1},
+    "done": {"bring_up": {"verdict": "PASS"}},
+    "rests_on": {"bring_up": {"bench": {}, "parts": {}}},
+}
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        [],
+        {},
+        {**STATE, "options": None},
+        {**STATE, "done": {"bring_up": "PASS"}},
+        {**STATE, "rests_on": {}},
+        {**STATE, "rests_on": {"bring_up": {"bench": {}}}},
+    ],
+)
+def test_a_saved_state_that_is_not_whole_is_refused(tmp_path, damaged):
+    path = tmp_path / "commission.json"
+    path.write_text(json.dumps(STATE))
+    assert state_of(tmp_path, {"seed": 1}, resume=True).passed("bring_up")
+    path.write_text(json.dumps(damaged))
+    with pytest.raises(ConfigError, match="commissioning"):
+        state_of(tmp_path, {"seed": 1}, resume=True)
 
 
 @pytest.fixture

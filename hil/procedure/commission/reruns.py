@@ -58,18 +58,16 @@ def dependencies_of(
 
 
 def reason_to_repeat(
-    stage: Stage, before: Mapping[str, Any] | None, config: BenchConfig, parts: Mapping[str, Part]
+    stage: Stage, before: Mapping[str, Any], config: BenchConfig, parts: Mapping[str, Part]
 ) -> str:
     """Return why a passed procedure has to be repeated; empty if none of its dependencies has changed.
 
     Args:
         stage: the passed procedure.
-        before: result of `dependencies_of` at that time; None if it was not stored.
+        before: result of `dependencies_of` at that time.
         config: current configuration of the bench file alone.
         parts: current parts of the record.
     """
-    if before is None:
-        return "it passed under an older version, which did not note what it rests on"
     return "; ".join(
         (*_of_the_record(before["parts"], parts), *_of_the_bench(stage, before["bench"], config))
     )

@@ -181,7 +181,7 @@ class _Running:
         """Whether a procedure has passed and none of its dependencies has changed."""
         if not self._state.passed(stage.name):
             return False
-        before = self._state.rests_on.get(stage.name)
+        before = self._state.rests_on[stage.name]
         why = reason_to_repeat(stage, before, self._as_its_file_says, parts)
         found_anew = list(dict.fromkeys((*self._again, *self._ran)))
         if not why and found_anew and stage is self._stages[-1][0]:

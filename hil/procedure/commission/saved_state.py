@@ -80,11 +80,9 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
             f"{folder}: holds a commissioning", remedy="choose another --out, or --resume to continue it"
         )
     tree = read_json(path)
-    if not isinstance(tree, dict) or not isinstance(tree.get("done"), dict):
+    if not _is_state(tree):
         raise ConfigError(f"{path}: is no state of a commissioning", remedy="start anew with another --out")
-    before = tree.get("options")
-    reported = before if isinstance(before, dict) else {}
-    reported = {"settings": {}, **reported}
+    reported = tree["options"]
     different = [
         f"{key} ({reported.get(key)!r} then, {options[key]!r} now)"
         for key in options
@@ -95,17 +93,15 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
             f"{path}: the interrupted commissioning differs in {', '.join(different)}",
             remedy="resume with the same options, or start anew",
         )
-    return State(folder, options, tree["done"], _whole(tree.get("rests_on")))
+    return State(folder, options, tree["done"], tree["rests_on"])
 
 
-def _whole(rests_on: object) -> dict[str, dict[str, Any]]:
-    """Return the complete entries by procedure; drop those of an older version or that cannot be read."""
-    if not isinstance(rests_on, dict):
-        return {}
-    return {
-        name: entry
-        for name, entry in rests_on.items()
-        if isinstance(entry, dict)
-        and isinstance(entry.get("bench"), dict)
-        and isinstance(entry.get("parts"), dict)
-    }
+def _is_state(tree: Any) -> bool:
+    """Whether a JSON value is a saved state, with the dependencies of every passed procedure."""
+    try:
+        done, rests_on = tree["done"], tree["rests_on"]
+        passed = [name for name, facts in done.items() if facts["verdict"] in PASSED]
+        whole = all(isinstance(rests_on[name][key], dict) for name in passed for key in ("bench", "parts"))
+        return whole and isinstance(tree["options"], dict)
+    except (KeyError, TypeError, AttributeError):
+        return False
