@@ -65,6 +65,8 @@ class RunOutputs:
         keep: `results` for a run without figures.
         findings: outputs so far.
         titles: titles of the running steps, the innermost last.
+        replaces: whether a table or figure replaces one of the same title, and a note is added only once: at
+            an early end, when an evaluation that was interrupted is done again.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class RunOutputs:
         self.folder, self.declared, self.journal, self.keep = folder, tuple(declared), journal, keep
         self.findings = Findings()
         self.titles: list[str] = []
+        self.replaces = False
         self._by_name = {m.name: m for m in declared}
         self._undrawn: list[Entry] = []
 
@@ -136,7 +139,7 @@ class RunOutputs:
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
     ) -> None:
         """As `Context.table`; raises `UsageError`."""
-        self._must_be_new("table", title, self.findings.tables)
+        place = self._place("table", title, self.findings.tables)
         cells = [[_cell(v) for v in row] for row in rows]
         for number, row in enumerate(cells, start=1):
             if len(row) != len(head):
@@ -146,22 +149,35 @@ class RunOutputs:
                 )
         entry = {"title": title, "head": [str(h) for h in head], "rows": cells, "note": note}
         self.journal.add("table", entry)
-        self.findings.tables.append(entry)
+        self.findings.tables[place : place + 1] = [entry]
 
     def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
         """As `Context.figure`; raises `UsageError`."""
-        self._must_be_new("figure", title, [*self.findings.figures, *self._undrawn])
         if self.keep == "results":
-            self._undrawn.append({"title": title})
+            place = self._place("figure", title, self._undrawn)
+            self._undrawn[place : place + 1] = [{"title": title}]
             return
-        self.draw(figure, title, caption)
+        self.draw(figure, title, caption, self._place("figure", title, self.findings.figures))
 
-    def _must_be_new(self, what: str, title: str, others: Sequence[Entry]) -> None:
-        if any(other["title"] == title for other in others):
+    def _place(self, what: str, title: str, entries: Sequence[Entry]) -> int:
+        """Index of a new entry: the end, or that of the entry which it replaces."""
+        same = [index for index, entry in enumerate(entries) if entry["title"] == title]
+        if same and not self.replaces:
             raise UsageError(f"{what} {title!r} exists twice", expected="a title of its own")
+        return same[0] if same else len(entries)
 
-    def draw(self, figure: Figure | Callable[[], Figure], title: str, caption: str) -> None:
-        """Save a figure without a check of its title; raises `UsageError` if it is not a figure."""
+    def draw(
+        self, figure: Figure | Callable[[], Figure], title: str, caption: str, place: int | None = None
+    ) -> None:
+        """Save a figure without a check of its title; raises `UsageError` if it is not a figure.
+
+        Args:
+            figure: a matplotlib figure, or a function that returns one.
+            title: its title.
+            caption: text below it.
+            place: index among the figures; the end when None.
+        """
+        place = len(self.findings.figures) if place is None else place
         from matplotlib.figure import Figure
 
         from hil.report.page_figures import save_figure
@@ -172,12 +188,12 @@ class RunOutputs:
                 f"figure {title!r} is a {type(drawn).__name__}",
                 expected="a matplotlib Figure, or a function that returns one",
             )
-        path = self.folder / "figures" / f"{len(self.findings.figures) + 1:02d}_{slug(title)}.svg"
+        path = self.folder / "figures" / f"{place + 1:02d}_{slug(title)}.svg"
         path.parent.mkdir(parents=True, exist_ok=True)
         save_figure(drawn, path)
         entry = {"title": title, "caption": caption, "path": str(path.relative_to(self.folder))}
         self.journal.add("figure", entry)
-        self.findings.figures.append(entry)
+        self.findings.figures[place : place + 1] = [entry]
 
     def attach(self, name: str, path: Path) -> Path:
         """As `Context.attach`."""
@@ -206,6 +222,8 @@ class RunOutputs:
 
     def note(self, text: str) -> None:
         """Add a sentence for the reader to the report."""
+        if self.replaces and text in self.findings.notes:
+            return
         self.journal.add("note", {"text": text})
         self.findings.notes.append(text)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import pytest
+from matplotlib.figure import Figure
 
 from hil.cli.run import text_of
 from hil.core.errors import Aborted, ConfigError, DeviceError, UsageError
@@ -271,6 +272,33 @@ def test_a_signal_divides_no_action_of_an_emulated_device(run_small):
     assert (result.verdict, result.exit_code) == ("ABORTED", 4)
     assert parts[0].begun == parts[0].finished > 0
     assert not result.teardown_errors
+
+
+@pytest.mark.parametrize("keep", ["all", "results"])
+def test_an_evaluation_that_was_interrupted_is_done_again(run_small, keep):
+    @procedure(name="evaluated")
+    def evaluated(ctx):
+        seen = [1]
+
+        def evaluate():
+            ctx.note("one seen")
+            ctx.table("First", ["seen"], [[len(seen)]])
+            ctx.figure(Figure, "Drawn")
+            if len(seen) == 1:
+                seen.append(2)
+                os.kill(os.getpid(), signal.SIGTERM)
+            ctx.table("Second", ["seen"], [[len(seen)]])
+
+        ctx.on_early_end(evaluate)
+        with ctx.step("evaluate"):
+            evaluate()
+
+    result = run_small(evaluated, keep=keep)
+    tree = result_of(result)
+    assert (tree["verdict"], tree["teardown_errors"]) == ("ABORTED", [])
+    assert [(t["title"], t["rows"]) for t in tree["tables"]] == [("First", [["2"]]), ("Second", [["2"]])]
+    assert [f["title"] for f in tree["figures"]] == (["Drawn"] if keep == "all" else [])
+    assert tree["notes"].count("one seen") == 1
 
 
 def test_a_prompt_without_anybody_aborts(run_small, tmp_path, monkeypatch):
