@@ -158,7 +158,7 @@ def open_recording(
             str(path), "does not carry the configuration of its bench", remedy="give it with --bench"
         )
     try:
-        made, failed = _bench(config, _geometry(header), calibration, header, recorded=bench is None)
+        made, failed = _bench(config, _geometry(header, path), calibration, header, recorded=bench is None)
         dict(header.get("versions", {}))
     except HilError:
         raise
@@ -186,12 +186,19 @@ def _refuse_folder(folder: Path) -> NoReturn:
     )
 
 
-def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:
+def _geometry(header: Mapping[str, Any], path: Path) -> WheelGeometry | None:
     """The wheel geometry that was in use, None where the recording does not say."""
     given = header.get("geometry")
     if given is None:
         return None
-    geometry = WheelGeometry.from_vector(np.array(given, dtype=np.float64))
+    try:
+        geometry = WheelGeometry.from_vector(np.array(given, dtype=np.float64))
+    except HilError as error:
+        raise DataError(
+            str(path),
+            f"has a header whose `geometry` cannot be used ({error.message})",
+            expected="16 numbers",
+        ) from None
     return geometry.with_tyres(**header["tyres"]) if "tyres" in header else geometry
 
 

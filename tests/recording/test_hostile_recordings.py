@@ -112,6 +112,15 @@ def test_any_header(tmp_path, header):
     plays(write(tmp_path / "run.mcap", [], header))
 
 
+@pytest.mark.parametrize("geometry", [[float("nan")] * 16, [0.0] * 16])
+def test_a_geometry_of_no_robot_is_refused_by_file_and_key(tmp_path, capsys, geometry):
+    path = write(tmp_path / "run.mcap", [], {"config": CONFIG, "geometry": geometry})
+    assert main(["replay", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "run.mcap: has a header whose `geometry` cannot be used" in said
+    assert "in your code" not in said
+
+
 @pytest.mark.parametrize("text", ["[" * 100_000, "", "1" * 5000])
 def test_any_header_text_ends_a_command_with_a_message(tmp_path, capsys, text):
     path = write(tmp_path / "run.mcap", [], text)
