@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM during a series of runs: finished runs are kept and shown."""
+"""Ctrl-C, SIGTERM and SIGHUP during a series of runs: finished runs are kept and shown."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from types import FrameType
 import click
 
 from hil.core.errors import Aborted, DataError
+from hil.support.stop_signals import handled_by
 
 
-class _Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM. A `KeyboardInterrupt`, so that code that collects errors does not collect it."""
+class _Ended(KeyboardInterrupt):
+    """Raised on a signal, whose name it bears; code that collects errors does not collect it."""
 
 
 @contextmanager
@@ -28,23 +29,22 @@ def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> It
         Aborted: a signal, or the block itself, ended it.
     """
 
-    def stop(signum: int, frame: FrameType | None) -> None:
-        raise _Terminated
+    def stop(number: int, _frame: FrameType | None) -> None:
+        raise _Ended(signal.Signals(number).name)
 
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
+    with handled_by(stop):
         try:
-            yield
-        except KeyboardInterrupt as ended:
-            how = "ended by SIGTERM" if isinstance(ended, _Terminated) else "interrupted"
-            raise Aborted(
-                f"the campaign was {how}; {finished()}", remedy="give the same command with --resume"
-            ) from None
-    except Aborted:
-        _show(show, finished())
-        raise
-    finally:
-        signal.signal(signal.SIGTERM, before)
+            try:
+                yield
+            except KeyboardInterrupt as ended:
+                name = str(ended) if isinstance(ended, _Ended) else "SIGINT"
+                how = "interrupted" if name == "SIGINT" else f"ended by {name}"
+                raise Aborted(
+                    f"the campaign was {how}; {finished()}", remedy="give the same command with --resume"
+                ) from None
+        except Aborted:
+            _show(show, finished())
+            raise
 
 
 def _show(show: Callable[[], str], finished: str) -> None:

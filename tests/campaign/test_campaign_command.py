@@ -258,7 +258,10 @@ def test_a_plan_of_which_nothing_ran_is_no_campaign(campaign, tmp_path):
 
 
 @pytest.mark.usefixtures("warm_commands")
-def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(script, campaign, tmp_path):
+@pytest.mark.parametrize(("name", "how"), [("SIGINT", "interrupted"), ("SIGHUP", "ended by SIGHUP")])
+def test_a_terminal_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(
+    script, campaign, tmp_path, name, how
+):
     """What Dask's workers have finished is what one process gives."""
     pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
     words = ("--workers", "1", "--seeds", "0:400", "--keep", "results", "--out", "o")
@@ -269,11 +272,11 @@ def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask
     deadline = time.monotonic() + 60
     while len(list((tmp_path / "o").rglob("result.json"))) < 4 and time.monotonic() < deadline:
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, getattr(signal, name))
     said = process.communicate(timeout=600)[1]
     assert process.returncode == 4
     assert "Traceback" not in said
-    assert re.search(r"the campaign was interrupted; [1-9]\d* of 400 runs are finished", said)
+    assert re.search(rf"the campaign was {how}; [1-9]\d* of 400 runs are finished", said)
     assert "--resume" in said
     finished = int(re.search(r"(\d+) of 400 runs are finished\)", said)[1])
     tree = json.loads((tmp_path / "o" / "campaign.json").read_text())

@@ -4,9 +4,9 @@ Local processes share the files of this computer. A cluster shares none and rece
 Dask restarts a worker that dies and repeats its case. A case that kills its worker repeatedly is given up;
 the other cases go on.
 
-Ctrl-C and SIGTERM are handled outside of Dask calls, because they would cause tracebacks in the log: an
-interrupted Dask call leaves callbacks behind that fail, and a client that disconnects while its jobs run is
-reported missing with each result.
+Ctrl-C, SIGTERM and SIGHUP are handled outside of Dask calls, because they would cause tracebacks in the log:
+an interrupted Dask call leaves callbacks behind that fail, and a client that disconnects while its jobs run
+is reported missing with each result.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hil.core.errors import Aborted, UsageError
 from hil.procedure.campaign.worker_files import WorkerFiles
 from hil.support.extras import how_to_install
+from hil.support.stop_signals import STOPS
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-_STRIKES = (signal.SIGINT, signal.SIGTERM)
 _LOOKS, _LOOK_S = 200, 0.05
 J = TypeVar("J")
 R = TypeVar("R")
@@ -105,7 +105,7 @@ def _handlers() -> dict[int, Any]:
     """Return the signals that have Python handlers, with these; ignored and default actions are left out."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    found = {number: signal.getsignal(number) for number in _STRIKES}
+    found = {number: signal.getsignal(number) for number in STOPS}
     return {number: handler for number, handler in found.items() if callable(handler)}
 
 
@@ -288,9 +288,10 @@ def _with_workers(workers: int, stack: ExitStack) -> Client:
 
 @contextmanager
 def _interrupts_put_off() -> Iterator[None]:
-    """Block SIGINT, also for all threads and processes that are started meanwhile, and their children."""
+    """Block what a terminal sends to all its processes, also in threads and processes started meanwhile."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     ensure_running()  # starting Python's resource tracker would unblock SIGINT
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
