@@ -11,6 +11,7 @@ from hil.core.errors import SafetyStop
 from hil.procedure.bench_request import BenchSource
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
+from tests.patience import PATIENT
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 from hil.ros2.network import Network
@@ -71,7 +72,7 @@ def padded(data):
 @pytest.mark.alone
 def test_in_real_time_the_bytes_of_the_recording_go_out(publisher, listen, tmp_path):
     topics = [topic for topic in MOVING if topic != "/diagnostics"]
-    bench = source(publisher, realtime=True).open()
+    bench = source(publisher, realtime=True, overrides=PATIENT).open()
     listener = listen(*topics)
     with bench:
         bench.add_sink(McapRecorder(tmp_path / "r.mcap", bench.header(), lossless=False))
