@@ -25,6 +25,7 @@ pytestmark = pytest.mark.alone
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 
 BAUD = 921_600
+_TRIES = 10
 
 
 @contextlib.contextmanager
@@ -63,9 +64,12 @@ def test_a_driver_that_speaks_first_follows_a_computer_on_udp(mavlink_bench):
         real.driver.open()
         assert real.driver.identity()["component"] == "197 (visual_inertial_odometry)"
         assert real.driver.identity()["firmware"] == "1.4.2"
-        check_poses(follow(real, 1.0), 60)
-        (time,) = (f for f in real.driver.findings() if f.check == "time")
-        assert time.found.startswith("round trip")  # how long it is, is this computer's load
+        for _ in range(_TRIES):  # a busy computer has long round trips itself
+            check_poses(follow(real, 1.0), 60)
+            level = {f.check: f.level for f in real.driver.findings()}["time"]
+            if level == "ok":
+                break
+        assert level == "ok"
         real.driver.close()
         real.driver.open()
         assert follow(real, 0.2)
