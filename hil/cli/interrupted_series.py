@@ -13,10 +13,6 @@ from hil.core.errors import Aborted, DataError
 from hil.support.stop_signals import handled_by
 
 
-class _Ended(KeyboardInterrupt):
-    """Raised on a signal, whose name it bears; code that collects errors does not collect it."""
-
-
 @contextmanager
 def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> Iterator[None]:
     """End the block early as `Aborted`, with a page of what is finished.
@@ -30,21 +26,20 @@ def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> It
     """
 
     def stop(number: int, _frame: FrameType | None) -> None:
-        raise _Ended(signal.Signals(number).name)
+        # code that collects errors does not collect a KeyboardInterrupt
+        raise KeyboardInterrupt("" if number == signal.SIGINT else signal.Signals(number).name)
 
     with handled_by(stop):
         try:
-            try:
-                yield
-            except KeyboardInterrupt as ended:
-                name = str(ended) if isinstance(ended, _Ended) else "SIGINT"
-                how = "interrupted" if name == "SIGINT" else f"ended by {name}"
-                raise Aborted(
-                    f"the campaign was {how}; {finished()}", remedy="give the same command with --resume"
-                ) from None
-        except Aborted:
+            yield
+        except (KeyboardInterrupt, Aborted) as ended:
             _show(show, finished())
-            raise
+            if isinstance(ended, Aborted):
+                raise
+            how = f"ended by {ended}" if str(ended) else "interrupted"
+            raise Aborted(
+                f"the campaign was {how}; {finished()}", remedy="give the same command with --resume"
+            ) from None
 
 
 def _show(show: Callable[[], str], finished: str) -> None:
