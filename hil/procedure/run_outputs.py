@@ -10,8 +10,8 @@ import json
 import re
 import shutil
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -65,8 +65,6 @@ class RunOutputs:
         keep: `results` for a run without figures.
         findings: outputs so far.
         titles: titles of the running steps, the innermost last.
-        replaces: whether a table or figure replaces one of the same title, and a note is added only once: at
-            an early end, when an evaluation that was interrupted is done again.
     """
 
     def __init__(
@@ -75,7 +73,7 @@ class RunOutputs:
         self.folder, self.declared, self.journal, self.keep = folder, tuple(declared), journal, keep
         self.findings = Findings()
         self.titles: list[str] = []
-        self.replaces = False
+        self._replaces = False
         self._by_name = {m.name: m for m in declared}
         self._undrawn: list[Entry] = []
 
@@ -135,6 +133,18 @@ class RunOutputs:
             notes.append(f"{name} was set {len(every)} times: {', '.join(reported)}. The last one counts.")
         return notes
 
+    @contextmanager
+    def replacing(self) -> Iterator[None]:
+        """In the block, a table or figure replaces one of its title, and no note is added twice.
+
+        At an early end, an evaluation that was interrupted is done again.
+        """
+        self._replaces = True
+        try:
+            yield
+        finally:
+            self._replaces = False
+
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
     ) -> None:
@@ -162,7 +172,7 @@ class RunOutputs:
     def _place(self, what: str, title: str, entries: Sequence[Entry]) -> int:
         """Index of a new entry: the end, or that of the entry which it replaces."""
         same = [index for index, entry in enumerate(entries) if entry["title"] == title]
-        if same and not self.replaces:
+        if same and not self._replaces:
             raise UsageError(f"{what} {title!r} exists twice", expected="a title of its own")
         return same[0] if same else len(entries)
 
@@ -177,11 +187,11 @@ class RunOutputs:
             caption: text below it.
             place: index among the figures; the end when None.
         """
-        place = len(self.findings.figures) if place is None else place
         from matplotlib.figure import Figure
 
         from hil.report.page_figures import save_figure
 
+        place = len(self.findings.figures) if place is None else place
         drawn: object = figure() if callable(figure) else figure
         if not isinstance(drawn, Figure):
             raise UsageError(
@@ -222,7 +232,7 @@ class RunOutputs:
 
     def note(self, text: str) -> None:
         """Add a sentence for the reader to the report."""
-        if self.replaces and text in self.findings.notes:
+        if self._replaces and text in self.findings.notes:
             return
         self.journal.add("note", {"text": text})
         self.findings.notes.append(text)

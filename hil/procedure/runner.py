@@ -170,9 +170,10 @@ def _execute(context: Context) -> tuple[Failure | None, list[Failure], dict[str,
         error = failure(problem, context)
     late: list[Failure] = []
     statistics = None
-    context.results.replaces = error is not None
-    for title, action in tuple(context.early_end) if error is not None else ():
-        _attempt(title, action, limit_s, context, late)
+    if error is not None:
+        with context.results.replacing():
+            for title, action in tuple(context.early_end):
+                _attempt(title, action, limit_s, context, late)
     for title, action in context.teardown[::-1]:
         _attempt(title, action, limit_s, context, late)
     if benches.opened is not None:
