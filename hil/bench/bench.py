@@ -73,7 +73,7 @@ class Bench(HeldDevices):
         waits_for_sensors: whether to wait for a lost sensor beyond its `fail_after_s`, in real time: for
             programs that watch a resting robot. Set it before the bench is entered.
         own_controller: makes the controller of every trajectory from the model; None for the configured law.
-        undivided: as in `ControlLoop`.
+        undivided: as for `ControlLoop`.
         driven_by: name of an external program that drives every trajectory, and the function that queries it;
             None without one.
         lost: errors of devices that ended a run of the bench, as texts.
@@ -388,8 +388,8 @@ class Bench(HeldDevices):
             late_after_s=config.late_after_s,
             sinks=(*self._sinks, self._hold),
             truth=self._recorded_truth,
+            undivided=self.undivided,
         )
-        loop.undivided = self.undivided
         self.statistics = loop.statistics
         return loop
 

@@ -54,11 +54,11 @@ class ControlLoop:
         late_after_s: a start later than this after its deadline counts as late.
         sinks: receive every cycle.
         truth: true state of an emulated robot, for the records only; it is not used for control.
-
-    Attributes:
         undivided: makes the context in which devices are read and commanded, records are written, and the
             clock sleeps. In that of a procedure, a signal of the user waits for the end of the block: it
             divides no exchange with a device and no action of an emulated one.
+
+    Attributes:
         idle: called with the next deadline (ns) when a cycle is done; may use the time until then. None at
             first: a bench in real time sets it for its runs.
     """
@@ -73,12 +73,13 @@ class ControlLoop:
         late_after_s: float = 0.001,
         sinks: tuple[Sink, ...] = (),
         truth: Callable[[], Mapping[str, Any] | None] = lambda: None,
+        undivided: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self.rig, self.clock, self.pipeline, self._truth = rig, clock, pipeline, truth
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
         self.sinks = sinks
-        self.undivided: Callable[[], AbstractContextManager[None]] = nullcontext
+        self._undivided = undivided
         self.idle: Callable[[int], None] | None = None
         self.statistics = LoopStatistics()
         self._cycle = self._sinks_ns = 0
@@ -90,7 +91,7 @@ class ControlLoop:
         self._began_ns = None
         try:
             while True:
-                with self.undivided():
+                with self._undivided():
                     self.clock.sleep_until_ns(deadline_ns)  # 10
                 self._heed_sinks()
                 record = self.cycle(deadline_ns)
@@ -101,7 +102,7 @@ class ControlLoop:
                     self.idle(deadline_ns)
                 self._rest()
         finally:
-            with self.undivided():
+            with self._undivided():
                 if self.rig.servos is not None:
                     self.rig.servos.stop()
                 self._rest()
@@ -111,7 +112,7 @@ class ControlLoop:
         start_ns = self.clock.now_ns()
         laps = Laps(self.clock, start_ns)
         lap = laps.done
-        with self.undivided():
+        with self._undivided():
             inputs = self._read(start_ns)  # 1
         lap("read")
         try:
@@ -119,7 +120,7 @@ class ControlLoop:
         except SafetyStop as stop:
             self._stopped(inputs, stop)
             raise
-        with self.undivided():
+        with self._undivided():
             if self.pipeline.commands and self.rig.servos is not None:
                 self.rig.servos.command(decision.command)  # 8
             lap("write")
@@ -192,7 +193,7 @@ class ControlLoop:
 
     def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
         """Stop the robot at once and write a last record with the reason and the checks' figures."""
-        with self.undivided():
+        with self._undivided():
             if self.rig.servos is not None:
                 self.rig.servos.stop()
             if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from types import FrameType
 
 from hil.bench.third_party.call_timeout import leave
@@ -53,7 +53,6 @@ class Interrupts:
         self._sigints = 0
         self._stop: str | None = None
         self._deferred = 0
-        self._deferral = _Deferral(self)
         self._raised = False
 
     @property
@@ -120,9 +119,14 @@ class Interrupts:
         self._raised = True
         return Aborted(f"stopped by {_BY[self._stop or _TWICE]} while this was running: {running}")
 
-    def deferred(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
         """Defer a stop to the end of the block."""
-        return self._deferral
+        self._deferred += 1
+        try:
+            yield
+        finally:
+            self._deferred -= 1
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
@@ -146,19 +150,6 @@ class Interrupts:
                 if not self._installed and self._timer is not None:
                     self._timer.cancel()
                     self._timer.join()  # a signal that it has sent is still handled here
-
-
-class _Deferral(AbstractContextManager[None]):
-    """The context of `Interrupts.deferred`; entered several times a cycle, so written out."""
-
-    def __init__(self, interrupts: Interrupts) -> None:
-        self._interrupts = interrupts
-
-    def __enter__(self) -> None:
-        self._interrupts._deferred += 1
-
-    def __exit__(self, *_: object) -> None:
-        self._interrupts._deferred -= 1
 
 
 @contextmanager
