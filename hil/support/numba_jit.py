@@ -1,9 +1,11 @@
 """Compiles numerical functions by numba: `njit`, its cache, and messages while it compiles.
 
 `kernel` marks functions that Python calls, `inner` those that kernels call and that Python runs uncompiled.
-numba caches the code of a kernel until the kernel's own file changes, although it contains the code of all
-functions that it calls from other files. So every state of the sources has its own cache folder;
-`NUMBA_CACHE_DIR`, if it is set, is used unchanged. `NUMBA_DISABLE_JIT=1` runs everything as plain Python.
+numba keeps the machine code of a kernel until the kernel's own file changes. The code also contains the
+functions that it calls from other files, so here it is kept until one of the imported files of the package
+changes. It lies beside the sources, or in the user's cache where that folder cannot be written; code that
+another user has left beside the sources is read. `NUMBA_CACHE_DIR`, if it is set, replaces both places.
+`NUMBA_DISABLE_JIT=1` runs everything as plain Python.
 """
 
 from __future__ import annotations
@@ -12,12 +14,13 @@ import contextlib
 import hashlib
 import logging
 import os
+import re
 import shutil
 import signal
-import tempfile
+import sys
 import threading
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar, cast
@@ -36,8 +39,7 @@ _LOG = logging.getLogger(__name__)
 PROGRESS = logging.getLogger(f"{__name__}.progress")
 """Logger of running compilations and their duration."""
 _PACKAGE = Path(__file__).parents[1]
-_SOURCES = ("calibration", "config", "controller", "estimator", "fakes", "loop", "robot", "core", "support")
-"""Folders of kernels and of all that they import."""
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|.*)|import\s+(.*))", re.MULTILINE)
 _FIRST_WORD_NS, _NEXT_WORD_NS = nanoseconds(2.0), nanoseconds(10.0)
 
 if (
@@ -70,75 +72,129 @@ def compile_for(function: Callable[..., Any], *arguments: Any) -> None:
         cast(Any, function).compile(tuple(map(numba.typeof, arguments)))
 
 
-def cache_folder(package: Path, homes: tuple[Path, ...]) -> str:
-    """Folder for the machine code of these sources, in the first writable home; deletes all others there.
-
-    Args:
-        package: folder of the package.
-        homes: folders that hold nothing else, the best one first.
-
-    Returns:
-        Empty where none can be written.
-    """
-    digest = hashlib.sha256()
-    for path in sorted(path for name in _SOURCES for path in (package / name).rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
-    for home in homes:
-        folder = home / digest.hexdigest()[:16]
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=folder).close()
-        except OSError:
-            continue
-        for other in home.iterdir():
-            if other != folder:
-                shutil.rmtree(other, ignore_errors=True)
-        return str(folder)
-    return ""
-
-
-def _homes() -> tuple[Path, Path]:
-    """Folders for machine code: beside the sources, else in the user's cache."""
-    at = hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]
+def homes(package: Path = _PACKAGE) -> tuple[Path, ...]:
+    """Folders for machine code of a package: beside its sources, then in the user's cache."""
+    if numba.config.CACHE_DIR:
+        return (Path(numba.config.CACHE_DIR),)
+    at = hashlib.sha256(str(package).encode()).hexdigest()[:16]
     of_user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return _PACKAGE / "__pycache__" / "kernels", of_user / "hil" / at
+    return package / "__pycache__" / "kernels", of_user / "hil" / at
 
 
-class _Cache(caching.FunctionCache):  # type: ignore[misc]
-    """Cache whose read and write errors, as on a full disk, cost time but end nothing."""
+@cache
+def _digest_and_imports(source: Path, _changed_ns: int, _size: int) -> tuple[bytes, tuple[Path, ...]]:
+    """Digest of a file, and the files of the package that its import statements name."""
+    text, found = source.read_bytes(), set[Path]()
+    for module, names, plain_names in _IMPORT.findall(text.decode()):
+        listed = re.findall(r"[\w.]+", names or plain_names)
+        for dotted in (module, *(f"{module}.{name}".strip(".") for name in listed)):
+            top, *parts = dotted.split(".")
+            if top == _PACKAGE.name:
+                base = _PACKAGE.joinpath(*parts)
+                found |= {f for f in (base.with_suffix(".py"), base / "__init__.py") if f.is_file()}
+    return hashlib.sha256(text).digest(), tuple(found)
+
+
+def stamp(source: Path) -> str:
+    """Digest of a file and of all files of the package that it imports, directly or through others."""
+    seen, left, digest = dict[Path, bytes](), [source], hashlib.sha256()
+    while left:
+        if (one := left.pop()) not in seen:
+            state = one.stat()
+            seen[one], imported = _digest_and_imports(one, state.st_mtime_ns, state.st_size)
+            left += imported
+    for one in sorted(seen):
+        digest.update(one.name.encode() + b"\0" + seen[one])
+    return digest.hexdigest()
+
+
+class _Locator(caching._CacheLocator):  # type: ignore[misc]
+    """Folder of the machine code of one function in one home, by source file and state of its imports."""
+
+    def __init__(self, function: Callable[..., Any], home: Path) -> None:
+        source = Path(function.__code__.co_filename)
+        inside = source.is_relative_to(_PACKAGE)
+        name = ".".join(source.relative_to(_PACKAGE).with_suffix("").parts) if inside else source.stem
+        path = "" if inside else hashlib.sha256(str(source).encode()).hexdigest()[:16]
+        self._py_file, self._line = str(source), function.__code__.co_firstlineno
+        self._of_source, self._stamp = home / f"{name}{path}", stamp(source)
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder, and delete those of other states of the source."""
+        super().ensure_cache_path()
+        for other in self._of_source.iterdir():
+            if other.name != self._stamp[:16]:
+                shutil.rmtree(other, ignore_errors=True)
+
+    def get_cache_path(self) -> str:
+        """Folder, which need not exist."""
+        return str(self._of_source / self._stamp[:16])
+
+    def get_source_stamp(self) -> str:
+        """Digest of the source and its imports."""
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        """Line of the function: two of a file may have one name."""
+        return str(self._line)
+
+
+class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    """Names and contents of numba's cache files, in the folder of a locator."""
+
+    def __init__(self, function: Callable[..., Any], locator: _Locator) -> None:
+        self._locator, self._lineno = locator, function.__code__.co_firstlineno
+        self._filename_base = self.get_filename_base(function.__qualname__, sys.abiflags)
+
+
+class _Home(caching.Cache):  # type: ignore[misc]
+    """Machine code of one function in one home."""
+
+    def __init__(self, function: Callable[..., Any], home: Path) -> None:
+        self._impl_class = partial(_Impl, locator=_Locator(function, home))
+        super().__init__(function)
+
+
+class _Cache(caching.NullCache):  # type: ignore[misc]
+    """Machine code of one function in all homes; read and write errors cost time but end nothing."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._homes = [_Home(function, home) for home in homes()]
+
+    @property
+    def cache_path(self) -> str:
+        """Folder of the best home."""
+        return str(self._homes[0].cache_path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the code for these types, if it is there and complete."""
-        try:
-            return super().load_overload(sig, target_context)
-        except HilError:  # raised by a signal handler
-            raise
-        except Exception:  # a truncated file may raise anything
-            with contextlib.suppress(OSError):
-                self.flush()
-            return None
+        """Load the code for these types from the first home that has it complete."""
+        for home in self._homes:
+            try:
+                if (code := home.load_overload(sig, target_context)) is not None:
+                    return code
+            except HilError:  # raised by a signal handler
+                raise
+            except Exception:  # a truncated file may raise anything
+                with contextlib.suppress(OSError):
+                    home.flush()
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Save the code for these types; warn if that fails."""
-        try:
-            super().save_overload(sig, data)
-        except OSError as error:
-            _watch.tell_not_kept(f"in {self.cache_path} ({reason_of(error)})")
-
-
-class _NoCache(caching.NullCache):  # type: ignore[misc]
-    """Cache for a function whose code no folder can hold."""
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Warn that the code is not kept."""
-        _watch.tell_not_kept("beside the sources, nor in the user's cache")
+        """Save the code for these types in the first home that takes it; warn if none does."""
+        refused = []
+        for home in self._homes:
+            try:
+                home.save_overload(sig, data)
+            except OSError as error:
+                refused.append(f"in {home.cache_path} ({reason_of(error)})")
+            else:
+                return
+        _watch.tell_not_kept(" or ".join(refused))
 
 
 def _cache_of(function: Callable[..., Any]) -> Any:
-    try:
-        return _Cache(function)
-    except RuntimeError:  # one that was typed at a prompt has no file, either
-        return _NoCache() if os.path.exists(function.__code__.co_filename) else caching.NullCache()
+    typed = not os.path.exists(function.__code__.co_filename)  # at a prompt, say
+    return caching.NullCache() if typed else _Cache(function)
 
 
 class _Watch(event.Listener):  # type: ignore[misc]
@@ -221,5 +277,3 @@ class _Watch(event.Listener):  # type: ignore[misc]
 _watch = _Watch()
 for _kind in ("numba:compile", "numba:run_pass"):
     event.register(_kind, _watch)
-if not numba.config.CACHE_DIR:
-    numba.config.CACHE_DIR = cache_folder(_PACKAGE, _homes())

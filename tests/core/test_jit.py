@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numba
@@ -18,7 +19,7 @@ from numba.core import event
 
 from hil.core.errors import Aborted
 from hil.support import numba_jit
-from hil.support.numba_jit import cache_folder, compile_for, kernel
+from hil.support.numba_jit import compile_for, kernel
 
 ROOT = Path(__file__).parents[2]
 MODULE = """
@@ -35,9 +36,10 @@ def outer(x):
 
 
 def fresh(folder, text=MODULE):
-    """A module of kernels that has not been imported before."""
+    """A module of kernels that has not been imported before; without a text it is there already."""
     path = folder / "made.py"
-    path.write_text(text)
+    if text is not None:
+        path.write_text(text)
     spec = importlib.util.spec_from_file_location("made", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -60,10 +62,10 @@ def kept_in(tmp_path, monkeypatch, caplog):
         event.register(kind, ours)
 
 
-def from_the_cache(folder):
-    """Whether the kernel was found there."""
-    outer = fresh(folder).outer
-    assert outer(1.0) == 5.0
+def from_the_cache(folder, text=MODULE, result=5.0):
+    """Whether the kernel was found there; without a text the module is there already."""
+    outer = fresh(folder, text).outer
+    assert outer(1.0) == result
     return sum(outer.stats.cache_hits.values()) == 1
 
 
@@ -82,6 +84,7 @@ def says():
     os.wait()
 
 says()
+pathlib.Path("hil/core/call_chain.py").write_text("# not imported by the kernel's module")
 says()
 geometry = pathlib.Path("hil/core/geometry.py")
 geometry.write_text(geometry.read_text().replace("return math.pi - (math", "return 0.25 + math.pi - (math"))
@@ -116,27 +119,41 @@ def test_a_kernel_is_compiled_anew_when_a_function_in_another_file_changes(tmp_p
         check=True,
     )
     assert done.stdout.split() == ["0.5", "0", "0.5", "1", "0.75", "0"]
-    (folder,) = (tmp_path / "hil" / "__pycache__" / "kernels").iterdir()
-    assert any(folder.rglob("*.nbc"))
+    assert any((tmp_path / "hil" / "__pycache__" / "kernels").rglob("*.nbc"))
 
 
-def test_a_folder_stands_for_one_state_of_the_sources_and_the_first_home_that_takes_it(tmp_path):
-    package, homes = tmp_path / "package", (tmp_path / "one", tmp_path / "other")
-    (package / "robot").mkdir(parents=True)
-    source = package / "robot" / "a.py"
-    source.write_text("a = 1")
-    first = cache_folder(package, homes)
-    assert Path(first).parent == homes[0]
-    assert cache_folder(package, homes) == first
-    source.write_text("a = 2")
-    second = cache_folder(package, homes)
-    assert [str(path) for path in homes[0].iterdir()] == [second]
+def test_code_is_kept_for_the_newest_state_of_its_source_in_the_first_home_that_takes_it(
+    kept_in, tmp_path, monkeypatch
+):
+    homes = (tmp_path / "one", tmp_path / "other")
+    monkeypatch.setattr(numba_jit, "homes", lambda: homes)
+    assert not from_the_cache(tmp_path)
+    assert not from_the_cache(tmp_path, MODULE.replace("1.5", "2.5"), 7.0)  # one state of it is kept
+    (source,) = homes[0].iterdir()
+    assert len(list(source.iterdir())) == 1
     shutil.rmtree(homes[0])
     homes[0].write_text("a file where a folder is needed")
-    assert Path(cache_folder(package, homes)).parent == homes[1]
-    shutil.rmtree(homes[1])
-    homes[1].write_text("another one")
-    assert cache_folder(package, homes) == ""
+    assert (from_the_cache(tmp_path), from_the_cache(tmp_path)) == (False, True)
+    assert any(homes[1].rglob("*.nbc"))
+
+
+def test_code_that_another_user_compiled_is_used_where_nothing_can_be_written(kept_in, tmp_path):
+    folder = Path(tempfile.mkdtemp())  # tmp_path cannot be entered by another user
+    try:
+        assert not from_the_cache(folder)
+        shutil.copytree(kept_in, folder / "cache")
+        for path in (folder, *folder.rglob("*")):
+            path.chmod(0o555 if path.is_dir() else 0o444)
+        numba.config.CACHE_DIR = str(folder / "cache")
+        child = os.fork()
+        if not child:
+            if not os.getuid():
+                os.setuid(65534)
+            os._exit(0 if from_the_cache(folder, None) else 1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    finally:
+        folder.chmod(0o755)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def test_a_full_disk_under_the_cache_is_reported_once_and_ends_nothing(kept_in, tmp_path, caplog):
@@ -154,7 +171,7 @@ def test_a_full_disk_under_the_cache_is_reported_once_and_ends_nothing(kept_in, 
 @pytest.mark.parametrize(("kind", "size"), [("nbi", 0), ("nbi", 100), ("nbc", 100)])
 def test_a_broken_off_file_in_the_cache_is_replaced(kept_in, tmp_path, kind, size, caplog):
     assert (from_the_cache(tmp_path), from_the_cache(tmp_path)) == (False, True)
-    (file,) = kept_in.glob(f"*/*.{kind}")
+    (file,) = kept_in.rglob(f"*.{kind}")
     os.truncate(file, size)
     assert (from_the_cache(tmp_path), from_the_cache(tmp_path)) == (False, True)
     assert caplog.messages == []
