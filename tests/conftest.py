@@ -17,11 +17,12 @@ from hypothesis import HealthCheck, settings
 from hil.recording import mcap_file
 from tests import warm
 from tests.lanes import ALONE, REAL_TIME, THINNED, WIRED, files
+from tests.selected import DRAWS
 from tests.signals import as_a_program_begins
 
 PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-settings.register_profile("hil", **PATIENT, max_examples=50)
-settings.register_profile("thorough", **PATIENT, max_examples=500)
+settings.register_profile("hil", **PATIENT, max_examples=DRAWS, derandomize=True)  # no run is red by chance
+settings.register_profile("thorough", **PATIENT, max_examples=10 * DRAWS)
 settings.load_profile("hil")
 gc.set_threshold(50_000, 20, 20)  # thousands of tests keep much alive in which there is no garbage
 _IN_REAL_TIME = files("real_time", *REAL_TIME, *WIRED)

@@ -1,6 +1,15 @@
-"""Which of many like cases run by default: an even spread of them; the others are marked `long`."""
+"""How much of many like cases runs by default: an even spread of listed ones, a number of drawn ones."""
 
 import pytest
+from hypothesis import settings
+
+DRAWS = 50
+"""Number of examples that a property test draws by default."""
+
+
+def draws(number, **other):
+    """Settings of a property test that draws `number` examples by default; more in a thorough run."""
+    return settings(max_examples=max(1, number * settings().max_examples // DRAWS), **other)
 
 
 def every(step, cases):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.config.control import ControlConfig
@@ -24,7 +24,7 @@ from hil.core.geometry import compose, se2_exp
 from hil.core.signals import Reference, RobotState, Stamp, WheelMeasurement
 from hil.robot.kinematics import WheelGeometry, forward, wheel_vectors
 from hil.robot.trajectories import circle, line
-from tests.selected import every
+from tests.selected import draws, every
 
 CAD, ORIGIN = WheelGeometry.nominal(), np.zeros(3)
 DT = 0.01
@@ -72,7 +72,6 @@ def drive(
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=50)
 def test_the_per_wheel_law_is_the_projected_twist(seed):
     """a_i, b_i of the authors' law equal P (t_d + K e)."""
     rng = np.random.default_rng(seed)
@@ -86,7 +85,6 @@ def test_the_per_wheel_law_is_the_projected_twist(seed):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=50)
 def test_lyapunov_function_falls_at_the_stated_rate(seed):
     rng = np.random.default_rng(seed)
     k = np.array([4.0, 4.0, 3.0])
@@ -146,7 +144,7 @@ def test_a_flip_keeps_the_motion_and_never_turns_far(angle, measured):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40)
+@draws(40)
 def test_desaturation_keeps_the_centre_of_rotation(seed):
     twist = np.random.default_rng(seed).normal(0, 1.0, 3)
     layer = ModuleLayer(CAD, ModuleLimits(steering_rad=10.0, steering_rate_rad_s=1e6), DT)
@@ -166,7 +164,7 @@ def slip_m_s(out, steering):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20)
+@draws(20)
 def test_wheels_do_not_contradict_each_other_while_they_are_steered(seed):
     """Twists that change at once: as commanded, at the angles measured and at those just sent, no wheel
     slips by more than 5 mm/s, and the motion asked for is reached."""

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 
 from hil.calibration.calibration_file import read_calibration
@@ -30,13 +30,9 @@ from hil.procedure.run_journal import read_journal
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
 from hil.support.file_reading import json_value, read_json, toml_tables
+from tests.selected import draws
 
-BOUNDED = settings(
-    max_examples=20,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-    derandomize=True,
-)
+BOUNDED = draws(20, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 DEEP_TOML = "a = " + "[" * 100_000
 DEEP_JSON = "[" * 100_000
 TOMLS = {

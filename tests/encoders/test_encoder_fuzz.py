@@ -5,7 +5,7 @@ import contextlib
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from still_plant import StillPlant
 
@@ -16,6 +16,7 @@ from hil.drivers.encoders import As5045Encoders
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.encoders import EncoderNode
 from hil.fakes.world import VirtualClock, World
+from tests.selected import draws
 
 OURS = st.sampled_from([416, 417])
 
@@ -41,7 +42,7 @@ FRAMES = st.builds(
 )
 
 
-@settings(max_examples=60)
+@draws(60)
 @given(frames=st.lists(st.tuples(FRAMES, st.integers(0, 60_000_000)), max_size=30), with_node=st.booleans())
 def test_any_frames_give_samples_or_a_device_error(frames, with_node):
     world = World(StillPlant(), seed=1)

@@ -4,13 +4,14 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from hil.core.errors import DataError, DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
 from hil.drivers.imu import ImuCalibration
 from hil.fakes.serial_chip import Reply
+from tests.selected import draws
 
 MODE_WRITE = bytes.fromhex("AA003D0108")
 
@@ -251,7 +252,7 @@ def test_an_impossible_attitude_is_implausible(imu_bench, counts):
     assert bench.driver.read()[0].status is Status.IMPLAUSIBLE
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@draws(60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(st.lists(st.none() | st.binary(max_size=200), max_size=40), st.integers(0, 12))
 def test_garbage_of_any_length_never_hangs_and_never_escapes(imu_bench, answers, skip):
     bench = imu_bench(config={"open_timeout_s": 0.5, "fail_after_s": 0.4})

@@ -1,7 +1,7 @@
 """The framing: packets of the vendor's manual, round trips, and everything that is no packet."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hil.devices.imu.microstrain.mip_packets import Field, Packet, PacketParser, checksum, encode
@@ -56,11 +56,18 @@ def test_no_bytes_whatever_upset_the_parser_for_long(noise, packet):
     assert packet in found
 
 
-@given(packets, st.data())
-def test_one_flipped_bit_is_noticed(packet, data):
-    wire = bytearray(encode(packet.descriptor_set, packet.fields))
-    place = data.draw(st.integers(4, len(wire) - 1))
-    wire[place] ^= 1 << data.draw(st.integers(0, 7))
+def bits(wire):
+    """The places of all bits of a packet behind its head, checksum included."""
+    return [(place, bit) for place in range(4, len(wire)) for bit in range(8)]
+
+
+@given(packets.flatmap(lambda p: st.tuples(st.just(p), st.sampled_from(bits(encode(*p))))))
+@example((Packet(0, (Field(0, b"ue"), Field(0))), (8, 0)))  # the sync bytes, within a field
+@example((Packet(0, (Field(0, b"ueue\0\0"), Field(0, b"ue"))), (4, 2)))
+def test_one_flipped_bit_is_noticed(drawn):
+    packet, (place, bit) = drawn
+    wire = bytearray(encode(*packet))
+    wire[place] ^= 1 << bit
     parser = PacketParser(PATIENCE_NS)
     assert parser.feed(bytes(wire), 0) == []
     assert parser.rejected == 1

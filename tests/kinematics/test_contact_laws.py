@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.estimator import wheel_friction
 from hil.robot import contact_laws as law
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
 from hil.support.numba_jit import kernel
+from tests.selected import draws
 
 creep_twist, friction_twist = kernel(wheel_friction.creep_twist), kernel(wheel_friction.friction_twist)
 
@@ -50,7 +51,7 @@ def test_of_two_wheels_that_contradict_each_other_dry_friction_follows_the_loade
 
 
 @given(st.floats(0.1, 10.0), st.integers(0, 100))
-@settings(max_examples=30)
+@draws(30)
 def test_dry_friction_is_homogeneous(factor, seed):
     """Twice the wheel motion moves the body twice as far: Coulomb friction knows no speed."""
     u = 0.01 * np.random.default_rng(seed).standard_normal((4, 8))
@@ -133,7 +134,7 @@ def test_creep_of_equal_tyres_that_roll_alike_is_least_squares():
 
 
 @given(st.floats(0.05, 20.0), st.integers(0, 100))
-@settings(max_examples=30)
+@draws(30)
 def test_creep_knows_neither_speed_nor_weight(factor, seed):
     u, p = contradicting(np.random.default_rng(seed)), CAD.projection()
     b = law.creep_motion(p, u, LOAD, 0.7)

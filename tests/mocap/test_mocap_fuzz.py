@@ -5,7 +5,7 @@ import contextlib
 import natnet_builder as build
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.config.mocap import MocapConfig
@@ -13,6 +13,7 @@ from hil.core.errors import DeviceError
 from hil.core.signals import Status
 from hil.drivers.mocap import Datagram, NatNetMocap
 from hil.fakes.world import VirtualClock, World
+from tests.selected import draws
 
 SERVER = ("127.0.0.1", 1510)
 FLOATS = st.floats(allow_nan=True, allow_infinity=True)
@@ -101,7 +102,7 @@ OTHERS = st.one_of(
 )
 
 
-@settings(max_examples=80)
+@draws(80)
 @given(
     packets=st.lists(st.tuples(FRAMES | OTHERS, SENDERS, st.integers(0, 400_000_000)), max_size=12),
     clock_hz=TICKS,
@@ -116,7 +117,7 @@ def test_frames_of_any_content_give_samples_or_a_device_error(packets, clock_hz)
     driver.close()
 
 
-@settings(max_examples=40)
+@draws(40)
 @given(answers=st.lists(OTHERS | FRAMES, max_size=6))
 def test_a_server_that_talks_nonsense_cannot_be_opened(answers):
     clock = VirtualClock(World(Standing()))

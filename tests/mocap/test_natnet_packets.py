@@ -6,7 +6,7 @@ import struct
 
 import natnet_builder as build
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from natnet.data_descriptions import DataDescriptions
 from natnet.data_frame import DataFrame
@@ -19,6 +19,7 @@ from hil.drivers.mocap.natnet_packets import MalformedPacket, Message, parse_ser
 from hil.drivers.mocap.natnet_session import parse_models
 from hil.fakes.mocap import natnet_encoding
 from hil.fakes.mocap.camera_view import SeenBody
+from tests.selected import draws
 
 MARKERS = tuple((0.1 * k, 0.2 * k, 0.3 * k) for k in range(4))
 SEEN = (
@@ -180,7 +181,7 @@ def test_a_packet_cut_anywhere_is_malformed(version):
         split(build.server_info()[:-1])
 
 
-@settings(max_examples=300)
+@draws(300)
 @given(data=st.binary(max_size=400), version=st.sampled_from(build.VERSIONS))
 def test_random_bytes_are_malformed_or_parsed_never_anything_else(data, version):
     for parse in (
@@ -194,7 +195,7 @@ def test_random_bytes_are_malformed_or_parsed_never_anything_else(data, version)
             parse()
 
 
-@settings(max_examples=300)
+@draws(300)
 @given(data=st.data(), version=st.sampled_from(build.VERSIONS))
 def test_a_damaged_packet_is_malformed_or_parsed_never_anything_else(data, version):
     packet = bytearray(payload(build.frame(version, 9, [build.body(5)])))

@@ -4,7 +4,7 @@ import json
 import struct
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Message, Metadata, Schema
@@ -22,13 +22,9 @@ from hil.recording.runs import RunStart, read_runs
 from hil.recording.transform_tree import FrameTree
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
+from tests.selected import draws
 
-BOUNDED = settings(
-    max_examples=15,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-    derandomize=True,
-)
+BOUNDED = draws(15, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 SCALARS = st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=6)
 TREES = st.recursive(
     SCALARS,

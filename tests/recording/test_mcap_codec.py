@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap_cases import CYCLE_RECORDS, driving_record
 
@@ -18,11 +18,12 @@ from hil.core.geometry import Array
 from hil.core.signals import Stamp, Status
 from hil.recording.cycle_codec import DTYPES, CycleCodec
 from hil.recording.record_comparison import first_difference
+from tests.selected import draws
 
 CODEC = CycleCodec()
 
 
-@settings(max_examples=60)
+@draws(60)
 @given(record=CYCLE_RECORDS)
 def test_every_bit_comes_back(record):
     data = CODEC.encode(record)
@@ -97,7 +98,7 @@ def assert_kept(dtype, shape):
         assert first_difference(other, back) is None
 
 
-@settings(max_examples=60)
+@draws(60)
 @given(cut=st.integers(0, 10**6), flip=st.integers(0, 10**6), value=st.integers(0, 255))
 def test_malformed_bytes_are_value_errors_or_records(cut, flip, value):
     data = bytearray(CODEC.encode(driving_record(3)))

@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from servo_wire import JointPlant
 
@@ -17,6 +17,7 @@ from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.servos import ServoBus, protocol
 from hil.fakes.world import VirtualClock, World
+from tests.selected import draws
 
 SECOND = 1_000_000_000
 STATUSES = st.builds(protocol.status, st.integers(0, 253), st.integers(0, 255), st.binary(max_size=20))
@@ -58,7 +59,7 @@ def babbling(answers, *, with_bus=False, **config):
         line.close()
 
 
-@settings(max_examples=25)
+@draws(25)
 @given(answers=PIECES)
 def test_opening_a_bus_that_talks_nonsense_is_a_device_error(answers):
     with babbling(answers) as (_, driver, clock):
@@ -67,7 +68,7 @@ def test_opening_a_bus_that_talks_nonsense_is_a_device_error(answers):
         assert clock.now_ns() < 5 * SECOND
 
 
-@settings(max_examples=15)
+@draws(15)
 @given(answers=PIECES, fast=st.sampled_from(["auto", False]))
 def test_nonsense_between_the_answers_gives_samples_or_a_device_error(answers, fast):
     with babbling(answers, with_bus=True, fast_sync_read=fast) as (chip, driver, clock):
@@ -91,7 +92,7 @@ def test_nonsense_between_the_answers_gives_samples_or_a_device_error(answers, f
             driver.enable()
 
 
-@settings(max_examples=30)
+@draws(30)
 @given(answers=PIECES, registers=st.just({}) | st.just({"return_delay_time": 0}))
 def test_scan_and_set_up_survive_nonsense(answers, registers):
     with babbling(answers) as (_, _driver, clock):
@@ -102,7 +103,7 @@ def test_scan_and_set_up_survive_nonsense(answers, registers):
         assert clock.now_ns() < 20 * SECOND
 
 
-@settings(max_examples=200)
+@draws(200)
 @given(data=st.binary(max_size=300), fast=st.booleans())
 def test_the_parsers_take_any_bytes(data, fast):
     group = GroupRead(range(1, 9), 126, 10, fast=fast)
@@ -112,7 +113,7 @@ def test_the_parsers_take_any_bytes(data, fast):
     assert all(0 <= servo_id <= 255 for servo_id, _ in find_statuses(data))
 
 
-@settings(max_examples=200)
+@draws(200)
 @given(
     values=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=8, max_size=8),
     damage=st.lists(st.tuples(st.integers(0, 150), st.integers(1, 255)), max_size=3),

@@ -1,7 +1,7 @@
 """Group instructions and timing of the emulated bus: who answers, when, and what absence does."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from servo_client import (
     ACTION,
@@ -257,7 +257,6 @@ PACKETS = st.builds(
 )
 
 
-@settings(max_examples=50)
 @given(pieces=st.lists(NOISE | PACKETS, max_size=6), at_once=st.booleans())
 def test_no_bytes_upset_the_bus(pieces, at_once):
     bench = make_wire()

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import Phase, example, given, settings
+from hypothesis import Phase, example, given
 from hypothesis import strategies as st
 from servo_client import MODEL, RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE, Client
 
 from hil.fakes.servos.motor_command import RECTANGLE, STEP, TRAPEZOID, TRIANGLE, Trajectory
+from tests.selected import draws
 
 DT_S = 0.004
 SPEED_COUNTS_S = RAD_S_PER_COUNT / RAD_PER_COUNT
@@ -116,7 +117,7 @@ GOALS = st.tuples(
 )
 
 
-@settings(max_examples=100, phases=(Phase.explicit, Phase.generate))
+@draws(100, phases=(Phase.explicit, Phase.generate))
 @example(moves=[(1954, 0, 75, True, 7), (703, 213, 233, True, 39)])
 @given(moves=st.lists(GOALS, min_size=1, max_size=4))
 def test_every_chain_of_goals_ends_at_the_last_one(moves):

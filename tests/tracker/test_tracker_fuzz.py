@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.config.tracker import T265Config
@@ -14,7 +14,7 @@ from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_REC
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.emulated_pipeline import FeedDevice, FeedFrame, FeedSensor
 from hil.fakes.world import VirtualClock, World
-from tests.selected import every
+from tests.selected import draws, every
 
 INFO = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"Intel RealSense T265", b"0815", b"0.2.0.951")
 DOUBLES = st.floats(allow_nan=True, allow_infinity=True)
@@ -58,7 +58,7 @@ def good_pose(number):
     return POSE_RECORD.pack(FEED_MAGIC, 4, number, 5.0 * number, *values, 3)
 
 
-@settings(max_examples=100)
+@draws(100)
 @given(poses=st.lists(st.tuples(POSES, st.integers(0, 300_000_000)), max_size=12))
 def test_poses_of_any_content_give_samples_or_a_device_error(poses):
     clock, pipeline = VirtualClock(World(Standing())), Scripted()

@@ -79,7 +79,8 @@ class PacketParser:
             back the packets that follow until 255 bytes have come.
 
     Attributes:
-        rejected: packets that were spoilt on the way.
+        rejected: stretches of bytes that were spoilt on the way: what begins as a packet and is none. What
+            looks like the begin of another one within it, until a whole packet is found, is the same stretch.
         skipped: bytes that belong to no packet.
     """
 
@@ -91,7 +92,7 @@ class PacketParser:
     def reset(self) -> None:
         """Forget an unfinished packet."""
         self._buffer = bytearray()
-        self._since_ns = 0
+        self._since_ns = self._spoilt = 0
 
     def feed(self, data: bytes, t_ns: int) -> list[Packet]:
         """The packets that `data`, received at `t_ns`, completes."""
@@ -105,7 +106,7 @@ class PacketParser:
             if len(buffer) >= length:
                 found += self._take(length)
             elif t_ns - self._since_ns > self._patience_ns:
-                self._reject()
+                self._reject(len(buffer))
             else:
                 break
             self._since_ns = t_ns
@@ -117,15 +118,22 @@ class PacketParser:
         if checksum(frame[:-CHECKSUM_BYTES]) == frame[-CHECKSUM_BYTES:]:
             fields = cut(frame[HEAD_BYTES:-CHECKSUM_BYTES])
         if fields is None:
-            self._reject()
+            self._reject(length)
             return ()
+        self._spoilt = 0
         del self._buffer[:length]
         return (Packet(frame[2], fields),)
 
-    def _reject(self) -> None:
-        """Count a packet as rejected, and go on searching behind its sync bytes."""
-        self.rejected += 1
-        del self._buffer[: len(SYNC)]
+    def _reject(self, length: int) -> None:
+        """Count this stretch as rejected, once, and go on searching behind its sync bytes."""
+        if not self._spoilt:
+            self.rejected += 1
+            self._spoilt = length
+        self._drop(len(SYNC))
+
+    def _drop(self, count: int) -> None:
+        del self._buffer[:count]
+        self._spoilt = max(0, self._spoilt - count)
 
     def _aligned(self) -> bool:
         """Discard bytes before the next sync bytes; True once a whole head has arrived."""
@@ -134,5 +142,5 @@ class PacketParser:
         if at < 0:
             at = len(buffer) - (buffer[-1:] == SYNC[:1])
         self.skipped += at
-        del buffer[:at]
+        self._drop(at)
         return len(buffer) >= HEAD_BYTES
