@@ -42,8 +42,8 @@ help:
 	@echo "make lock       write $(LOCK) afresh, with the newest versions"
 
 $(BIN)/uv: $(LOCK)
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
-	{ echo "CPython 3.10 to 3.13 is needed: set PYTHON=/path/to/python3"; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))' || \
+	{ echo "CPython 3.10 to 3.14 is needed: set PYTHON=/path/to/python3"; exit 2; }
 	@test -z "$(LOCK)" || case $$(uname -sm) in "Linux x86_64" | "Linux aarch64") ;; \
 	*) echo "$(LOCK) is for Linux on x86_64 and aarch64: try make LOCK="; exit 2;; esac
 	$(PYTHON) -m venv $(VENV)

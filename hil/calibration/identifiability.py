@@ -135,7 +135,7 @@ def identifiability(fit: Fit) -> Identifiability:
     names = PARAMETER_NAMES[: len(z)]
     determined = int(np.count_nonzero(values > 1.0))
     return Identifiability(
-        singular_values=spectrum,
+        singular_values=np.asarray(spectrum, float),
         information=values,
         determined=determined,
         determined_without_contact_law=min(determined, _without_a_law(fit)),

@@ -321,7 +321,7 @@ def apply(ctx: Context, fits: Sequence[AxisFit], unused: dict[str, object]) -> N
     heading = np.mean(headings, axis=0) - fitted
     ctx.measure("applied.worst_heading", np.abs(heading).max() * _DEG)
     found = drive_legs(ctx, bench, _WAYS[:2], "applied")
-    ctx.measure("applied.direction", np.mean([f.common_rad for f in found]) * _DEG)
+    ctx.measure("applied.direction", float(np.mean([f.common_rad for f in found])) * _DEG)
     write_fragment(ctx, values, "Steering zeros, wheel order FL, BL, BR, FR.")
     _leave(ctx, zeros, fits)
     ctx.note(

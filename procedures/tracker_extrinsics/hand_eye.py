@@ -186,7 +186,7 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
         moved, turned = errors(z)
         sigma = _scatter(moved), _scatter(turned)
     jacobian: Array = np.asarray(least_squares(residuals, z, x_scale=_SCALES, max_nfev=1).jac)
-    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), float)
     half = 2.0 * np.sqrt(np.diag(covariance))
     far = (np.abs(moved) > 4.0 * sigma[0]).any(axis=1) | (np.abs(turned) > 4.0 * sigma[1]).any(axis=1)
     return Extrinsics(
