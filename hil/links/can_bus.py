@@ -54,11 +54,25 @@ _ERROR_COUNTS = 16
 _GONE_NS = 100_000_000
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
+STANDARD_IDS = 0x800
+"""Number of identifiers of 11 bits."""
+_EXTENDED = 1 << 31
+
 Arrived = tuple[int, can.Message]
 Meaning = Callable[[int, can.Message, int], Any]
 """Converts (arrival, frame, time now) to a sample, times in ns; None for a frame that gives none. In real
 time only the reading thread calls it."""
 T = TypeVar("T")
+
+
+def frame_key(identifier: int, extended: bool) -> int:
+    """Number for an identifier and its width: the identifier, plus 2**31 if 11 bits hold it but it has 29."""
+    return identifier | _EXTENDED if extended and identifier < STANDARD_IDS else identifier
+
+
+def shown_key(key: int) -> str:
+    """A frame's key, as in `0x1A0` or `0x1A0 (29 bits)`."""
+    return f"0x{key & _EXTENDED - 1:X}" + " (29 bits)" * (key >= STANDARD_IDS)
 
 
 def has_failed(error: str, silent_ns: int) -> bool:

@@ -8,17 +8,17 @@ from typing import Any
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
-from hil.links.can_bus import CanLink, has_failed, remedy_of_silence
+from hil.links.can_bus import CanLink, frame_key, has_failed, remedy_of_silence, shown_key
 from hil.links.streaming_sensor import C, S, StreamingSensor
 
-_LOOK_S, _STANDARD = 0.02, 0x7FF
+_LOOK_S = 0.02
 
 
 class CanSensor(StreamingSensor[C, S]):
     """Base of the drivers of such sensors: define `parse` and `sample`; the table has `FRAME_IDS`.
 
     A sample is complete when the last of its frames has come; one that lacks a frame is dropped. Identifiers
-    above 0x7FF are extended ones.
+    above 0x7FF have 29 bits; `hil.links.can_bus.frame_key` gives the number for a lower one of 29 bits.
 
     Attributes:
         malformed: samples since `open` whose frames `parse` has rejected.
@@ -64,12 +64,12 @@ class CanSensor(StreamingSensor[C, S]):
     def _no_answer(self) -> DeviceError:
         if not self._others:
             return self.silent(f"no {self.what} for {self.config.open_timeout_s:.1f} s")
-        message = ", ".join(f"0x{i:X}" for i in sorted(self._others)[:8])
+        message = ", ".join(map(shown_key, sorted(self._others)[:8]))
         return DeviceError(
             self.name,
             f"no frame of {self.expected}; seen {message}",
             port=self.place,
-            expected=", ".join(f"0x{i:X}" for i in self._ids),
+            expected=", ".join(map(shown_key, self._ids)),
             remedy=self.remedy,
         )
 
@@ -80,8 +80,8 @@ class CanSensor(StreamingSensor[C, S]):
     def _take(self, now_ns: int, wait_s: float = 0.0) -> list[tuple[Any, int]]:
         found: list[tuple[Any, int]] = []
         for arrived_ns, message in self._link.take(wait_s):
-            frame_id = message.arbitration_id
-            if frame_id not in self._ids or message.is_extended_id != (frame_id > _STANDARD):
+            frame_id = frame_key(message.arbitration_id, message.is_extended_id)
+            if frame_id not in self._ids:
                 self._others.add(frame_id)
                 continue
             if frame_id == self._ids[0]:

@@ -39,7 +39,7 @@ def encoder_bench():
     """Factory; channels are closed afterwards."""
     channels, drivers = [], []
 
-    def build(*faults, plant=None, config=None, options=None, seed=1, **node_options):
+    def build(*faults, plant=None, config=None, options=None, seed=1, wire=None, **node_options):
         world = World(
             plant if plant is not None else SteeringPlant(),
             seed=seed,
@@ -47,7 +47,12 @@ def encoder_bench():
         )
         channel = CanChannel(world, f"test{len(channels)}").open()
         channels.append(channel)
-        node = EncoderNode(world, channel, options=options or EncoderTruthOptions(), **node_options)
+        node = EncoderNode(
+            world,
+            wire(channel) if wire else channel,
+            options=options or EncoderTruthOptions(),
+            **node_options,
+        )
         world.faults.check()
         clock = VirtualClock(world)
         settings = {"interface": "hil", "channel": channel.name, "backend": "emulated", **(config or {})}

@@ -19,7 +19,16 @@ from hil.drivers.encoders.as5045_word import decode_words
 from hil.drivers.encoders.frame_layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus, NodeTimeline
 from hil.links.can_arrival_times import ArrivalClock
-from hil.links.can_bus import BUS_ERRORS, has_failed, open_bus, receiver, remedy_of_silence, shut
+from hil.links.can_bus import (
+    BUS_ERRORS,
+    frame_key,
+    has_failed,
+    open_bus,
+    receiver,
+    remedy_of_silence,
+    shown_key,
+    shut,
+)
 from hil.links.silence_limit import SilenceTimer, used_while_closed
 
 _EVERY_NS = NS_PER_S
@@ -126,7 +135,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             "model": "AS5045",
             "port": self._port,
             "dbc": str(self._config.dbc_path),
-            "frames": ", ".join(f"0x{i:X} {f.name}" for i, f in self._layout.items()),
+            "frames": ", ".join(f"{shown_key(i)} {f.name}" for i, f in self._layout.items()),
         }
 
     def reopen(self) -> None:
@@ -161,7 +170,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     def two_nodes(self) -> str:
         """Message that a second node seems to send with our identifiers; empty for none."""
         often = len(self.restarted) == _OFTEN and self.restarted[-1] - self.restarted[0] < _TOGETHER_NS
-        identifiers = ", ".join(f"0x{i:X}" for i in self._layout)
+        identifiers = ", ".join(map(shown_key, self._layout))
         return (
             f"two nodes with one identifier: the counters of {identifiers} leap back and forth"
             if often
@@ -247,14 +256,15 @@ class As5045Encoders(Sensor[EncoderSample]):
             if message is None:
                 silences -= 1
                 continue
-            layout = self._layout.get(message.arbitration_id)
+            key = frame_key(message.arbitration_id, message.is_extended_id)
+            layout = self._layout.get(key)
             if message.is_error_frame:
                 self.error_frames += 1
                 continue
-            if layout is None or message.is_extended_id:
-                others[message.arbitration_id] = message.dlc
+            if layout is None:
+                others[key] = message.dlc
             elif len(message.data) != layout.length:
-                wrong[message.arbitration_id] = len(message.data)
+                wrong[key] = len(message.data)
             self._take(message, self._clock.now_ns())
             if layout is not None and self._finished >= 0 and -1 not in self._words:
                 sets_left -= 1
@@ -263,12 +273,13 @@ class As5045Encoders(Sensor[EncoderSample]):
         raise self._not_seen(others, wrong)
 
     def _not_seen(self, others: Mapping[int, int], wrong: Mapping[int, int]) -> DeviceError:
-        expected = ", ".join(f"0x{i:X} ({f.length} bytes)" for i, f in self._layout.items())
+        expected = ", ".join(f"{shown_key(i)} with {f.length} bytes" for i, f in self._layout.items())
         if wrong or others:
             seen = list((wrong or others).items())[:_MOST_LISTED]
             return DeviceError(
                 self.name,
-                "the frames do not match the DBC: seen " + ", ".join(f"0x{i:X} ({n} bytes)" for i, n in seen),
+                "the frames do not match the DBC: seen "
+                + ", ".join(f"{shown_key(i)} with {n} bytes" for i, n in seen),
                 port=self._port,
                 expected=expected,
                 remedy="check encoders.dbc and encoders.node_id",
@@ -277,16 +288,13 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
         """Process one frame; returns the sample set that it completes or cuts short."""
-        layout = self._layout.get(message.arbitration_id)
-        data, strange = (
-            message.data,
-            message.is_extended_id or message.is_remote_frame or message.is_error_frame,
-        )
+        layout = self._layout.get(frame_key(message.arbitration_id, message.is_extended_id))
+        data, strange = message.data, message.is_remote_frame or message.is_error_frame
         if layout is None or strange or len(data) != layout.length:
             self._pass_over(message, layout, host_ns)
             return None
         sequence, time_raw, words = layout.decode(data)
-        if sequence == self._finished:
+        if sequence == self._finished or not words:
             self.passed_over += 1
             return None
         sample = None
@@ -314,9 +322,9 @@ class As5045Encoders(Sensor[EncoderSample]):
         self.passed_over += 1
         if message.is_error_frame:
             self.error_frames += 1
-        elif layout is not None and not (message.is_extended_id or message.is_remote_frame):
+        elif layout is not None and not message.is_remote_frame:
             self.malformed += 1
-            text = f"frame 0x{message.arbitration_id:X} has {len(message.data)} bytes, not {layout.length}"
+            text = f"frame {shown_key(layout.key)} has {len(message.data)} bytes, not {layout.length}"
             self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {text}")
 
     def _cut_short(self, host_ns: int) -> EncoderSample | None:

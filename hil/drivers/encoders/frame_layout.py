@@ -11,39 +11,36 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from hil.config.encoders import EncodersConfig
 from hil.core.errors import DataError
-from hil.links.dbc_file import load_database
+from hil.links.dbc_file import RawSignal, key_of_message, load_database, raw_signal
 
 SEQUENCE, NODE_TIME = "Sequence", "NodeTime"
 _WORD_BITS = 18
 
 
 @dataclass(frozen=True)
-class Field:
-    """Where one unsigned signal lies in a frame."""
-
-    order: Literal["little", "big"]
-    shift: int
-    mask: int
-
-    def take(self, data: bytes | bytearray) -> int:
-        """The raw value in a frame's data."""
-        return int.from_bytes(data, self.order) >> self.shift & self.mask
-
-
-@dataclass(frozen=True)
 class FrameLayout:
-    """One frame: `words` are (wheel index, field) pairs; `time_lsb_s` is the unit of the node time."""
+    """One frame.
 
-    frame_id: int
+    Attributes:
+        key: identifier and its width (`hil.links.can_bus.frame_key`).
+        name: name of the message.
+        length: number of data bytes.
+        words: (wheel index, signal) pairs; a multiplexed frame has some of them.
+        sequence: number of the sample set, counting up.
+        time: time of the node.
+        time_lsb_s: unit of the node's time, s.
+    """
+
+    key: int
     name: str
     length: int
-    words: tuple[tuple[int, Field], ...]
-    sequence: Field
-    time: Field
+    words: tuple[tuple[int, RawSignal], ...]
+    sequence: RawSignal
+    time: RawSignal
     time_lsb_s: float
 
     @cached_property
@@ -54,7 +51,8 @@ class FrameLayout:
         """
         sequence, time = self.sequence, self.time
         orders = {sequence.order, time.order, *(field.order for _, field in self.words)}
-        if len(orders) > 1 or len(self.words) != 2 or self.length != 8:
+        multiplexed = any(field.sent_when for _, field in self.words)
+        if len(orders) > 1 or len(self.words) != 2 or self.length != 8 or multiplexed:
             return None
         (left, one), (right, other) = self.words
         words = (left, one.shift, one.mask, right, other.shift, other.mask)
@@ -62,10 +60,10 @@ class FrameLayout:
         return number, (*words, sequence.shift, sequence.mask, time.shift, time.mask)
 
     def decode(self, data: bytes | bytearray) -> tuple[int, int, Sequence[tuple[int, int]]]:
-        """Raw sequence number, node time and (wheel index, word) of a frame's data."""
+        """Raw sequence number, node time and (wheel index, word) of a frame; no word if it has none."""
         fast = self._fast
         if fast is None:
-            words = [(wheel, field.take(data)) for wheel, field in self.words]
+            words = [(wheel, field.take(data)) for wheel, field in self.words if field.is_sent(data)]
             return self.sequence.take(data), self.time.take(data), words
         number, (left, shift, mask, right, shift_2, mask_2, at, sequence_mask, time_at, time_mask) = fast
         (value,) = number(data)
@@ -74,54 +72,44 @@ class FrameLayout:
 
 
 def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:
-    """Layouts by frame identifier.
+    """Layouts by the key of the frame.
 
     Raises:
-        DataError: the DBC cannot be read or does not describe the four configured signals.
+        DataError: the DBC cannot be read or does not describe the four configured signals as raw words.
     """
-    path = config.dbc_path
-    database = load_database(path)
-    found: dict[int, FrameLayout] = {}
-    missing = set(config.signals)
-    for message in database.messages:
-        words = tuple(
-            (wheel, _field(message, name, path))
-            for wheel, name in enumerate(config.signals)
-            if any(s.name == name for s in message.signals)
-        )
-        if not words:
-            continue
-        missing -= {config.signals[wheel] for wheel, _ in words}
-        if any(field.mask.bit_length() != _WORD_BITS for _, field in words):
-            raise DataError(
-                str(path),
-                f"message {message.name} has angle signals of another width",
-                expected="18-bit raw words",
-            )
-        time = _field(message, NODE_TIME, path)
-        scale = next(s.scale for s in message.signals if s.name == NODE_TIME)
-        frame_id = message.frame_id + config.node_id
-        found[frame_id] = FrameLayout(
-            frame_id, message.name, message.length, words, _field(message, SEQUENCE, path), time, float(scale)
-        )
-    if missing:
+    path, layouts = config.dbc_path, dict[int, FrameLayout]()
+    described = list[str]()
+    for message in load_database(path).messages:
+        names = [name for name in config.signals if any(s.name == name for s in message.signals)]
+        if names:
+            layout = _layout_of(message, config, path)
+            layouts[layout.key] = layout
+            described += names
+    odd = {name: described.count(name) for name in config.signals if described.count(name) != 1}
+    if odd:
         raise DataError(
             str(path),
-            "no signal " + ", ".join(sorted(missing)),
-            expected="every name of encoders.signals in the DBC",
+            ", ".join(
+                f"{n} messages have a signal {name}" if n else f"no signal {name}" for name, n in odd.items()
+            ),
+            expected="every name of encoders.signals in one message of the DBC",
             remedy="correct encoders.signals or encoders.dbc",
         )
-    return found
+    return layouts
 
 
-def _field(message: Any, name: str, path: Path) -> Field:
-    for signal in message.signals:
-        if signal.name == name:
-            mask = (1 << signal.length) - 1
-            if signal.byte_order == "little_endian":
-                return Field("little", signal.start, mask)
-            from_top = signal.start // 8 * 8 + 7 - signal.start % 8
-            return Field("big", 8 * message.length - from_top - signal.length, mask)
-    raise DataError(
-        str(path), f"message {message.name} has no signal {name}", expected=f"{SEQUENCE} and {NODE_TIME}"
+def _layout_of(message: Any, config: EncodersConfig, path: Path) -> FrameLayout:
+    raw = "raw unsigned 18-bit words with factor 1 and offset 0"
+    words = tuple(
+        (wheel, raw_signal(message, name, path, raw, bits=_WORD_BITS, signed=False))
+        for wheel, name in enumerate(config.signals)
+        if any(s.name == name for s in message.signals)
     )
+    counted = f"{SEQUENCE} and {NODE_TIME} as integers in every frame with angles"
+    sequence, time = (raw_signal(message, name, path, counted) for name in (SEQUENCE, NODE_TIME))
+    if sequence.sent_when or time.sent_when:
+        what = f"{SEQUENCE} or {NODE_TIME} in message {message.name} is multiplexed"
+        raise DataError(str(path), what, expected=counted)
+    scale = float(message.get_signal_by_name(NODE_TIME).scale)
+    key = key_of_message(message, config.node_id, path)
+    return FrameLayout(key, message.name, message.length, words, sequence, time, scale)

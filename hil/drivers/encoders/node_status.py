@@ -14,7 +14,8 @@ import can
 
 from hil.config.encoders import EncodersConfig
 from hil.core.clock import NS_PER_S
-from hil.links.dbc_file import load_database
+from hil.links.can_bus import frame_key
+from hil.links.dbc_file import key_of_message, load_database
 
 _LEAK = 200e-6
 _RESTART_NS = 250_000_000
@@ -101,13 +102,14 @@ class NodeStatus:
     def __init__(self, config: EncodersConfig) -> None:
         found = [m for m in load_database(config.dbc_path).messages if m.name == _MESSAGE]
         self._message: Any = found[0] if found else None
-        self._frame_id = found[0].frame_id + config.node_id if found else -1
+        self._key = key_of_message(found[0], config.node_id, config.dbc_path) if found else -1
         self._first: dict[str, int] = {}
         self._latest: dict[str, int] = {}
 
     def take(self, message: can.Message) -> bool:
         """Use a frame if it is the node's status; returns whether it is."""
-        if message.arbitration_id != self._frame_id or message.is_extended_id or message.is_remote_frame:
+        key = frame_key(message.arbitration_id, message.is_extended_id)
+        if key != self._key or message.is_remote_frame or message.is_error_frame:
             return False
         if message.dlc == self._message.length:
             self._latest = self._message.decode(bytes(message.data), decode_choices=False)
