@@ -19,6 +19,7 @@ from hil.config.tracker import T265Config
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
 from hil.core.geometry import wrap
 from hil.core.registry import added, base_of, further
+from hil.core.signals import WHEELS
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
@@ -167,21 +168,23 @@ def _of_servos(config: BenchConfig) -> Iterator[Problem]:
     servos, safety = config.of(ServosConfig), config.safety
     if servos is None:
         return
-    for name, asked, clipped, limit in (
-        ("steering_limit_rad", safety.steering_limit_rad, servos.steer_limit_rad, "steer_limit_rad"),
-        (
-            "wheel_rate_limit_rad_s",
-            safety.wheel_rate_limit_rad_s,
-            servos.velocity_limit_rad_s,
-            "velocity_limit_rad_s",
-        ),
-    ):
-        if asked > clipped * _SAME:
-            yield (
-                f"safety.{name}",
-                f"{asked:g} is beyond servos.{limit} = {clipped:g}, to which the servos would be clipped in "
-                "silence",
-            )
+    if (asked := safety.wheel_rate_limit_rad_s) > (most := servos.velocity_limit_rad_s) * _SAME:
+        yield (
+            "safety.wheel_rate_limit_rad_s",
+            f"{asked:g} is beyond servos.velocity_limit_rad_s = {most:g}, to which goals would be clipped",
+        )
+    zeros_rad, widest = config.alignment.steer_zero_rad, servos.steer_limit_rad
+    if safety.steering_limit_rad + (zero := max(map(abs, zeros_rad))) > widest * _SAME:
+        wheel = WHEELS[list(map(abs, zeros_rad)).index(zero)]
+        at = f" about the servo's centre, less {wheel}'s zero of {zero:g} (alignment.steer_zero_rad)" * (
+            zero > 0
+        )
+        yield (
+            "safety.steering_limit_rad",
+            f"{safety.steering_limit_rad:g} is beyond what the servos can reach: servos.steer_limit_rad = "
+            f"{widest:g}{at}, which leaves {widest - zero:.4g}; mount the horn nearer to the servo's centre, "
+            "raise servos.steer_limit_rad, or lower safety.steering_limit_rad and control.steering_limit_rad",
+        )
     model = servo_model(servos.model_number or DEFAULT_MODEL)
     low_v, high_v = model.pack_v
     if not low_v <= config.robot.supply_v <= high_v:

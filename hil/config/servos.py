@@ -49,7 +49,9 @@ class ServosConfig(DeviceConfig):
             tell decides, and all eight must agree; emulated ones are then XH430-W210.
         min_firmware: oldest firmware that the servos may have.
         velocity_limit_rad_s: wheel rate goals are clipped to it.
-        steer_limit_rad: steering goals are clipped to +- it about the servo's centre (2048 counts).
+        steer_limit_rad: largest steering goal to either side of the servo's centre (2048 counts), rad; goals
+            beyond are clipped and reported. Less the axis' `alignment.steer_zero_rad` the wheel has the range
+            that `safety.steering_limit_rad` needs.
         drive_registers, steer_registers: RAM registers (gains, profiles, goal current and PWM) by name
             in the control table, raw counts, written at open and after a servo's restart.
     """
@@ -73,7 +75,7 @@ class ServosConfig(DeviceConfig):
     model_number: Annotated[int, Within(1, 65_535, "a register of two bytes")] | None = None
     min_firmware: Annotated[int, Within(0, 255, "a register of one byte")] = 38
     velocity_limit_rad_s: WheelRate = 4.9
-    steer_limit_rad: Annotated[float, Within(0.01, 12.5664, "two turns wind up any cable")] = 2.0944
+    steer_limit_rad: Annotated[float, Within(0.01, 12.5664, "two turns wind up any cable")] = 2.618
     drive_registers: dict[str, Register] = Field(default_factory=dict)
     steer_registers: dict[str, Register] = Field(default_factory=dict)
 

@@ -90,15 +90,24 @@ class ServoSample:
 
 @dataclass(frozen=True)
 class ServoHealth:
-    """Voltage (V) and temperature (degrees Celsius) of the servos: shape (8,), NaN where one did not answer.
+    """Slowly changing state of the eight servos, in the order of `SERVOS`.
 
-    Most cycles have none: there is one per `servos.health_period_s` (s; by default every second).
+    Most cycles have none: there is one per `servos.health_period_s` (s; by default every second), and one
+    more when goals begin to be clipped.
+
+    Attributes:
+        stamp: times of the read.
+        voltage_v: (8,) V, NaN where a servo did not answer.
+        temperature_c: (8,) degrees Celsius, NaN where a servo did not answer.
+        status: status of each servo.
+        clipped: number of goals, by servo, clipped to limits of bench or servo since the last such sample.
     """
 
     stamp: Stamp
     voltage_v: Array
     temperature_c: Array
     status: tuple[Status, ...]
+    clipped: tuple[int, ...] = (0,) * 8
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,24 @@ def refused(**overrides):
     return error.value.problems
 
 
+@pytest.mark.parametrize("zero_rad", [0.53, -0.53, 1.0])
+def test_a_zero_that_leaves_a_wheel_less_than_its_range_is_refused(zero_rad):
+    zeros = [0.0, 0.1, zero_rad, -0.1]
+    (problem,) = refused(alignment__steer_zero_rad=zeros)
+    assert "BR's zero" in problem
+    assert f"leaves {2.618 - abs(zero_rad):.4g}" in problem
+    narrower = {"safety.steering_limit_rad": 1.61, "control.steering_limit_rad": 1.61}
+    if abs(zero_rad) <= 1.0:
+        load_bench("emulated", overrides={"alignment.steer_zero_rad": zeros, **narrower})
+    zeros[2] = 0.52 * zero_rad / abs(zero_rad)
+    load_bench("emulated", overrides={"alignment.steer_zero_rad": zeros})
+
+
 @pytest.mark.parametrize(
     ("path", "value", "reported"),
     [
         ("safety.wheel_rate_limit_rad_s", 7.5, "XH430"),
-        ("safety.steering_limit_rad", 2.2, "servos.steer_limit_rad = 2.0944"),
+        ("safety.steering_limit_rad", 2.7, "servos.steer_limit_rad = 2.618"),
         ("safety.wheel_rate_limit_rad_s", 6.0, "servos.velocity_limit_rad_s = 4.9"),
         ("control.steering_limit_rad", 2.2, "safety.steering_limit_rad = 2.0944"),
         ("control.wheel_speed_m_s", 0.2, "0.178 m/s of the largest wheel"),

@@ -12,6 +12,7 @@ from hil.core.signals import (
     Measurements,
     Reference,
     RobotState,
+    ServoHealth,
     ServoSample,
     Stamp,
     Status,
@@ -76,6 +77,14 @@ def test_a_doubt_is_reported_and_only_a_grave_one_stops_who_needs_the_camera():
         cycle(supervisor(motion=grave, needs_camera=True, stops_by_steering=True))
     assert stop.value.reason == "sensors_disagree"
     assert cycle(supervisor(motion=grave)) == ()
+
+
+def test_goals_that_were_clipped_are_an_event_with_servo_and_count():
+    clipped = (0, 0, 0, 0, 0, 37, 0, 0)
+    health = ServoHealth(Stamp(0, 0, 0), np.full(8, 12.0), np.full(8, 40.0), OK, clipped)
+    (event,) = cycle(supervisor(), health=(health, replace(health, clipped=(0,) * 8)))
+    assert (event.level, event.source) == ("warning", "servos")
+    assert "steer_BL 37 times" in event.message
 
 
 def test_who_is_left_out_is_so_until_the_reset_and_shakes_one_cycle_only():

@@ -85,6 +85,22 @@ def test_goals_are_clipped_to_bench_and_servo(servo_bench):
     np.testing.assert_allclose(last.position_rad[4:], [0.693, 1.0, -1.0, 0.5], atol=0.01)
 
 
+def test_goals_that_are_clipped_are_counted_at_once_and_by_servo(servo_bench):
+    bench = servo_bench(eeprom={0: {"velocity_limit": 100}, 4: {"max_position_limit": 2500}})
+    bench.driver.enable()
+    at_the_limits = ServoSetpoint(np.array([2.39, 4.9, -4.9, 0.0]), np.array([0.69, 2.618, -2.618, 0.0]))
+    health = []
+    for setpoint, many in ((at_the_limits, 5), (ServoSetpoint(np.full(4, 3.0), np.full(4, 0.8)), 20)):
+        for _ in range(many):
+            bench.driver.read()
+            health += bench.driver.read_health()
+            bench.driver.command(setpoint)
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+    first, *_ = (one for one in health if any(one.clipped))
+    assert [n > 0 for n in first.clipped] == [True, False, False, False, True, False, False, False]
+    assert bench.clock.now_ns() - first.stamp.t_ns > 150_000_000  # it did not wait for the next second
+
+
 def test_a_killed_program_leaves_a_held_robot(servo_bench):
     bench = servo_bench()
     bench.driver.enable()

@@ -119,10 +119,10 @@ class DynamixelServos(Actuators):
             return self._set_up(bus, last=True)
         mapped = self._upkeep.mapped
         self._cycle = CycleReader(bus, config, registers, self._clock, fast=fast, mapped=mapped)
-        self._health = HealthSchedule(config, model, self._clock)
         self._outage = AnswerTimeouts(config, self.name, self._clock.now_ns())
         goals_at = registers.goal_data if mapped else registers.goal_addresses
         self._goals = Goals(config, registers, blocks, GoalWrite(config.ids, goals_at), self.name)
+        self._health = HealthSchedule(config, model, self._clock, self._goals.clipped)
         self._samples = Samples(registers, blocks, self._upkeep, self._clock, self.name)
         self._doubtful = self._commanded = self._paused = False
         self._identity = ident.described(config, registers, blocks)

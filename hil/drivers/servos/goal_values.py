@@ -33,6 +33,9 @@ class Goals:
             present position.
         write: the packet that carries goals.
         device: name in errors.
+
+    Attributes:
+        clipped: number of goals, by servo, that were clipped by more than a count; the reader zeroes it.
     """
 
     def __init__(
@@ -57,25 +60,28 @@ class Goals:
         steering = [read(b, "present_position") for b in blocks[4:]]
         self._limits = list(zip(self._low.tolist(), self._high.tolist(), strict=True))
         self._raw = [0, 0, 0, 0, *steering]
+        self.clipped = [0] * 8
 
     def packet(self) -> bytes:
         """The write packet of a control cycle."""
         return self._write.packet(self._raw)
 
     def follow(self, setpoint: ServoSetpoint, offset: Sequence[int]) -> None:
-        """Take a setpoint, clipped.
+        """Take a setpoint, clipped; goals that are clipped are counted.
 
         Args:
-            setpoint: rad and rad/s.
+            setpoint: goals of the servos, rad and rad/s.
             offset: (8,) counts that the registers have lost (`MultiTurnCounter.offset`).
 
         Raises:
             UsageError: a goal is not a number.
         """
-        limit_rad, rad, zero_counts = self._limit_rad, self._rad, self._model.zero_counts
+        limit_rad, rad, zero_counts, beyond = self._limit_rad, self._rad, self._model.zero_counts, set[int]()
         goals = [v / self._rad_s for v in setpoint.drive_velocity_rad_s.tolist()]
         for j, angle in enumerate(setpoint.steer_position_rad.tolist(), 4):
             if not -limit_rad <= angle <= limit_rad:
+                if abs(angle) > limit_rad + rad:
+                    beyond.add(j)
                 angle = min(max(angle, -limit_rad), limit_rad)
             goals.append(angle / rad + (zero_counts - offset[j]))
         if not all(map(math.isfinite, goals)):
@@ -83,8 +89,12 @@ class Goals:
         raw = list(map(round, goals))
         for j, (low, high) in enumerate(self._limits):
             if not low <= raw[j] <= high:
+                if not low - 1 <= raw[j] <= high + 1:
+                    beyond.add(j)
                 raw[j] = low if raw[j] < low else high
         self._raw = raw
+        for j in beyond:
+            self.clipped[j] += 1
 
     def rest(self) -> None:
         """Set the wheels' goals to rest; keep the steering's."""

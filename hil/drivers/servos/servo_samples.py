@@ -234,9 +234,17 @@ def _seen(reading: Reading) -> np.ndarray:
 
 
 class HealthSchedule:
-    """Makes a health sample of a full read every `health_period_s`, and keeps it until `take`."""
+    """Makes a health sample of a full read every `health_period_s`, and keeps it until `take`.
 
-    def __init__(self, config: ServosConfig, model: ServoModel, clock: Clock) -> None:
+    Args:
+        config: period of the samples.
+        model: model of the servos.
+        clock: bench clock.
+        clipped: count of clipped goals, by servo; the first one hastens a sample, each sample zeroes it.
+    """
+
+    def __init__(self, config: ServosConfig, model: ServoModel, clock: Clock, clipped: list[int]) -> None:
+        self._clipped, self._clips = clipped, False
         self._clock, self._volt = clock, model.table["present_input_voltage"].scale
         self._period_ns = nanoseconds(config.health_period_s)
         self._due_ns = clock.now_ns() + self._period_ns
@@ -246,6 +254,9 @@ class HealthSchedule:
 
     def due(self) -> bool:
         """Whether the next read should be a full read."""
+        if not self._clips and any(self._clipped):
+            self._clips = True
+            self._due_ns = self._look_ns = self._clock.now_ns()
         return self._clock.now_ns() >= self._look_ns
 
     def note(self, reading: Reading) -> None:
@@ -266,8 +277,10 @@ class HealthSchedule:
                 np.where(known, np.array(rows["voltage"]) * self._volt, np.nan),
                 np.where(known, rows["temperature"], np.nan),
                 reading.status,
+                tuple(self._clipped),
             ),
         )
+        self._clips, self._clipped[:] = any(self._clipped), [0] * 8
 
     def take(self) -> tuple[ServoHealth, ...]:
         """The sample that was made since the last call, if any."""

@@ -65,6 +65,7 @@ class ServoCheck(Check):
         """Check for alerts, wheels that do not turn, encoder steps and silence."""
         self.asked_rad_s = cycle.last.wheel_rate_rad_s
         self.judge(cycle.inputs, cycle.events, cycle.stop)
+        self._check_goals(cycle.inputs, cycle.events)
         self.check_silence(cycle.inputs, cycle.stop)
 
     def judge(self, inputs: Inputs, events: list[Event], stop: ReportStop) -> None:
@@ -84,6 +85,17 @@ class ServoCheck(Check):
             self._check_steps(sample, angles, outside, events)
         if self._slipped is not None and inputs.t_ns - self._slipped[0] > _REPORT_NS:
             stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
+
+    def _check_goals(self, inputs: Inputs, events: list[Event]) -> None:
+        """Report goals that the driver has clipped."""
+        for health in inputs.health:
+            if any(health.clipped):
+                named = ", ".join(f"{self._names[j]} {n} times" for j, n in enumerate(health.clipped) if n)
+                message = (
+                    f"goals were clipped: {named}; a wheel is not where the setpoint says. Compare the "
+                    "finding `limits` of `hil doctor` with alignment.steer_zero_rad and [safety]"
+                )
+                events.append(Event(inputs.t_ns, "warning", "servos", message))
 
     def check_silence(self, inputs: Inputs, stop: ReportStop) -> None:
         """Stop with `stale_servos` if the last complete read is too old.
