@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mujoco_driving import robot, truth
+from mujoco_driving import mujoco, robot, truth
 from plant_driving import drive, settle, wait
 
 from hil.config.robot import RobotConfig
 from hil.core.errors import ConfigError
-from hil.fakes.mujoco_plant import mjcf
+from hil.fakes.mujoco_plant import CONTACTS, mjcf
 from hil.fakes.mujoco_plant.mjcf import describe_robot
+from hil.fakes.mujoco_plant.model import build_model
 
 PLAIN = describe_robot(truth("melamine", math.pi / 2))
 
@@ -45,6 +46,65 @@ def test_the_generated_description_in_a_file_is_the_same_robot(written):
         wait(plant, 0.5)
         paths.append(plant.truth().pose_body_in_wall)
     np.testing.assert_array_equal(*paths)
+
+
+def option(text):
+    return (r'<option timestep="0.001"/>', f'<option timestep="0.001" {text}/>')
+
+
+def flag(text):
+    return (r'<option timestep="0.001"/>', f'<option timestep="0.001"><flag {text}/></option>')
+
+
+def in_front(text):
+    return (r"<worldbody>", f"{text}\n<worldbody>")
+
+
+SET_BACK = {
+    "gravity": flag('gravity="disable"'),
+    "contacts": flag('contact="disable" constraint="disable" refsafe="disable"'),
+    "friction": flag('frictionloss="disable" warmstart="disable"'),
+    "motors": flag('actuation="disable" clampctrl="disable"'),
+    "contact overridden": (
+        r'<option timestep="0.001"/>',
+        '<option timestep="0.001" o_margin="0.1" o_solref="0.2 1" o_friction="2 2 0 0 0">'
+        '<flag override="enable"/></option>',
+    ),
+    "air": option('density="1000" viscosity="10" wind="5 0 0"'),
+    "field": option('gravity="0 0 5" magnetic="1 0 0" impratio="100" integrator="RK4" cone="pyramidal"'),
+    "solver": option('solver="PGS" iterations="3" tolerance="1e-2" noslip_iterations="0" jacobian="sparse"'),
+    "motors by group": option('actuatorgroupdisable="0 1 2"'),
+    "weightless": (r'<body name="robot"', '<body name="robot" gravcomp="1"'),
+    "limits": (r'name="steer_FL"', 'name="steer_FL" range="-0.1 0.1" limited="true" margin="0.05"'),
+    "springs": (r'name="drive_FL"', 'name="drive_FL" stiffness="50" springref="1" damping="3" armature="1"'),
+    "friction of a joint": (r'name="drive_FL"', 'name="drive_FL" frictionloss="5" solreffriction="0.5 1"'),
+    "weak motor": (
+        r'name="drive_FL"',
+        'name="drive_FL" actuatorfrclimited="true" actuatorfrcrange="-.01 .01"',
+    ),
+    "offset of a joint": (r'name="steer_FL"', 'name="steer_FL" ref="0.5"'),
+    "damped body": (r"<freejoint/>", '<joint type="free" damping="20" frictionloss="3" armature="4"/>'),
+    "frame of the inertia": (r"<freejoint/>", '<freejoint align="true"/>'),
+    "all frames": in_front('<compiler alignfree="true"/>'),
+    "defaults": in_front(
+        '<default><joint damping="3" armature="2"/><pair margin="0.1" gap="0.05" friction="3 3 1 1 1"/>'
+        '<general gainprm="0.1" biastype="affine" biasprm="0 -9" forcerange="-1 1"/></default>'
+    ),
+    "scale of the solver": in_front('<statistic meaninertia="1e9" meanmass="1e3"/>'),
+}
+
+
+def saved(path):
+    """A compiled model, byte by byte."""
+    model = build_model(truth("melamine", math.pi / 2), CONTACTS["creep"], RobotConfig(), path).model
+    held = np.zeros(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, held)
+    return held.tobytes()
+
+
+@pytest.mark.parametrize("case", SET_BACK)
+def test_what_the_bench_brings_is_not_changed_by_the_file(written, case):
+    assert saved(written(TIMESTEP, SET_BACK[case])) == saved(written(TIMESTEP))
 
 
 def test_masses_and_wheels_are_those_of_the_file(written):
@@ -97,6 +157,25 @@ WRONG = {
     "a wheel that turns backwards": (
         (r'"drive_BR" axis="0 1 0"', '"drive_BR" axis="0 -1 0"'),
         r"joint drive_BR turns about \(0, -1, 0\)",
+    ),
+    "a weld": (
+        (r"</worldbody>", '</worldbody><equality><weld body1="robot"/></equality>'),
+        "1 equalities; expected none",
+    ),
+    "a rope": (
+        (
+            r"</worldbody>",
+            '</worldbody><tendon><fixed stiffness="9"><joint joint="drive_FL" coef="1"/></fixed></tendon>',
+        ),
+        "1 tendons; expected none",
+    ),
+    "a contact of its own": (
+        (
+            r"</worldbody>",
+            '<geom name="rail" type="plane" size="1 1 1" contype="0" conaffinity="0"/></worldbody>'
+            '<contact><pair geom1="rail" geom2="tyre"/></contact>',
+        ),
+        "1 contact pairs; expected none",
     ),
     "no XML": ((r"<worldbody>", "<worldbody"), r"mine\.xml, line 2: no well-formed XML .*correct the file"),
     "no MJCF": ((r"<freejoint/>", "<freejoint/><tyre/>"), r"mine\.xml, line 4, tyre: .*unrecognized element"),

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +129,39 @@ def read_robot(mj: Any, p: TrueParameters, mjcf: Path | None) -> Any:
     except (ValueError, OSError) as error:
         raise _unreadable(named(mjcf), str(error)) from None
     _check(mj, spec, named(mjcf))
+    _set_back(mj, spec)
     return spec
+
+
+def _set_back(mj: Any, spec: Any) -> None:
+    """Reset to MuJoCo's defaults what the bench brings: options, what joints and bodies do by themselves."""
+    fresh = mj.MjSpec()
+    body = fresh.worldbody.add_body()
+    joint = body.add_joint()
+    reset(spec.option, fresh.option, keep=("timestep",))
+    reset(spec.stat, fresh.stat)
+    spec.compiler.alignfree = fresh.compiler.alignfree
+    for one in spec.joints:
+        reset(one, joint, keep=("name", "type", "axis", "pos"))
+    for one in spec.bodies[1:]:
+        one.gravcomp, one.mocap, one.sleep = body.gravcomp, body.mocap, body.sleep
+
+
+_IDENTITY = frozenset(
+    ("classname", "compiler", "frame", "id", "info", "parent", "plugin", "signature", "userdata")
+)
+
+
+def reset(element: Any, fresh: Any, keep: Collection[str] = ()) -> None:
+    """Give an element of a robot's file the values of a fresh one, but for some attributes."""
+    for name in dir(fresh):
+        value = getattr(fresh, name)
+        if name.startswith("_") or name in _IDENTITY or name in keep or callable(value):
+            continue
+        if isinstance(value, np.ndarray):
+            getattr(element, name)[:] = value
+        else:
+            setattr(element, name, value)
 
 
 def named(mjcf: Path | None) -> str:
@@ -223,6 +256,7 @@ def _surroundings(spec: Any, free: list[Any]) -> list[str]:
             "brings the surface, and nothing stands on it; take it out, or give it contype=conaffinity=0"
             for g in strange
         ]
-    if spec.pairs:
-        problems.append(f"{len(spec.pairs)} contact pairs; expected none: the bench says what touches what")
+    for what in ("contact pairs", "equalities", "tendons", "flexes", "plugins"):
+        if found := len(getattr(spec, what.split()[-1])):
+            problems.append(f"{found} {what}; expected none: the bench brings all forces and contacts")
     return problems

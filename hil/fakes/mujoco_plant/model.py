@@ -30,6 +30,7 @@ from hil.fakes.mujoco_plant.mjcf import (
     named,
     raise_if_any,
     read_robot,
+    reset,
     wheel_geoms,
 )
 from hil.fakes.mujoco_plant.named_numbers import PLACES
@@ -148,26 +149,35 @@ def _dress(
     robot.add_site(name="bench_fan")
     robot.add_site(name="bench_propellers", pos=[0.0, 0.0, p.propeller_height_m])
     names = tuple(f"bench_{w}" for w in WHEELS)
+    pair = mj.MjSpec().add_pair()
     for geom, name in zip(tyres, names, strict=True):
-        spec.add_pair(
-            name=name,
-            geomname1="bench_surface",
-            geomname2=geom.name,
-            condim=3,
-            friction=[p.contact.friction, p.contact.friction, 0.0, 0.0, 0.0],
-            solref=[TIME_CONSTANT_S, 1.0],
-            solreffriction=[FRICTION_TIME_CONSTANT_S, 1.0],
-            solimp=[IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0],
-        )
+        touching = {
+            "name": name,
+            "geomname1": "bench_surface",
+            "geomname2": geom.name,
+            "condim": 3,
+            "friction": [p.contact.friction, p.contact.friction, 0.0, 0.0, 0.0],
+            "solref": [TIME_CONSTANT_S, 1.0],
+            "solreffriction": [FRICTION_TIME_CONSTANT_S, 1.0],
+            "solimp": [IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0],
+        }
+        reset(spec.add_pair(**touching), pair, keep=tuple(touching))
+    motor = mj.MjSpec().add_actuator()
     for joint in JOINTS:
-        spec.add_actuator(name=joint, trntype=mj.mjtTrn.mjTRN_JOINT, target=joint)
+        _add_motor(spec, motor, name=joint, trntype=mj.mjtTrn.mjTRN_JOINT, target=joint)
     for name, site, gear in (
         ("fan", "bench_fan", [0, 0, -1, 0, 0, 0]),
         ("thrust", "bench_propellers", [1, 0, 0, 0, 0, 0]),
         ("turn", "bench_propellers", [0, 0, 0, 0, 0, 1]),
     ):
-        spec.add_actuator(name=name, trntype=mj.mjtTrn.mjTRN_SITE, target=site, gear=gear)
+        _add_motor(spec, motor, name=name, trntype=mj.mjtTrn.mjTRN_SITE, target=site, gear=gear)
     return names
+
+
+def _add_motor(spec: Any, motor: Any, **values: Any) -> None:
+    """Add an actuator that is a plain motor, whatever the file's defaults say."""
+    added = spec.add_actuator(**values)
+    reset(added, motor, keep=tuple(values))
 
 
 def _set_motors(model: Any, p: TrueParameters) -> None:
@@ -181,9 +191,6 @@ def _set_motors(model: Any, p: TrueParameters) -> None:
         model.dof_armature[steer] = _FORK_ARMATURE_KG_M2
         model.dof_damping[steer] = mk.FORK_DAMPING_N_M_S
         model.dof_frictionloss[steer] = 0.0
-    for name in JOINTS:
-        model.jnt_limited[model.joint(name).id] = 0
-        model.jnt_stiffness[model.joint(name).id] = 0.0
 
 
 def _rolling_n_m(p: TrueParameters, i: int) -> float:
