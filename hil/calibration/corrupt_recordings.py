@@ -19,6 +19,7 @@ from hil.core.geometry import Array, Bools
 from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.odd_wheels import odd_wheels
 from hil.datasets.time_offset import time_offset_s
 from hil.datasets.truth_jumps import fastest_m_s, find_jumps
 from hil.datasets.wrong_signs import (
@@ -97,7 +98,11 @@ def _apart(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
     wrong = share > _APART_WAY
     if not wrong.any() or _as_many_alike(wrong, _turning(recordings, nominal)):
         return {}
-    return {int(k): _which_wheel(vectors[k], share[k], nominal) for k in np.flatnonzero(wrong)}
+    out = {}
+    for k in np.flatnonzero(wrong).tolist():
+        odd = odd_wheels([recordings[k]], nominal.geometry)
+        out[k] = "; ".join(odd) if odd else _which_wheel(vectors[k], share[k], nominal)
+    return out
 
 
 def _strides(recordings: Sequence[Recording], nominal: Nominal) -> list[Array]:
@@ -130,11 +135,8 @@ def _which_wheel(u: Array, share: float, nominal: Nominal) -> str:
     if len(alone) == 1:
         i = alone[0]
         name = f"{_WHEELS[i]} wheel (phi{i + 1}, delta{i + 1})"
-        return f"its {name} contradicts the other three {where} (a stuck encoder, a wrong column)"
-    return (
-        f"its wheels contradict each other {where}, as those of no rigid body do (wheels in another order, a "
-        "stuck encoder, a wrong column)"
-    )
+        return f"its {name} contradicts the other three {where}"
+    return f"its wheels contradict each other {where}, as those of no rigid body do"
 
 
 def _turning(recordings: Sequence[Recording], nominal: Nominal) -> Array:

@@ -33,6 +33,11 @@ def wrap(angle_rad: float) -> float:
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
 
 
+def nearest_turn(angle_rad: float, other_rad: float) -> float:
+    """Angle less the whole turns that bring it within half a turn of another; to the bit where none do."""
+    return angle_rad - 2.0 * math.pi * round((angle_rad - other_rad) / (2.0 * math.pi))
+
+
 def wrap_array(angle_rad: ArrayLike) -> Array:
     """Angles of any shape, rad, wrapped into (-pi, pi]; NaN stays NaN."""
     return np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=np.float64), 2.0 * np.pi)

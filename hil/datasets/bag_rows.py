@@ -18,9 +18,8 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools, quat_conjugate, quat_multiply, quat_rotate, yaw_of_quat
-from hil.core.interpolation import between_samples
 from hil.datasets.cleaning import NO_HEADING, UNIT_QUATERNION
-from hil.datasets.plain_csv import TRUTH_GAP_S
+from hil.datasets.partial_rows import at_instants
 from hil.datasets.topic_map import TruthTopic
 
 _UNKNOWN = "ground-truth messages left out because a covariance of -1 marks their pose as unknown"
@@ -151,21 +150,12 @@ class JointRows:
             if not named[first, j].all():
                 own = named[:, j]
                 columns = [j, len(self._names) + j] if j < _DRIVES else [j]
-                out[:, columns] = _at(t_s[first], t_s[own], values[own][:, columns])
+                joint = values[own][:, columns]
+                if j >= _DRIVES:
+                    joint[np.isfinite(joint)] = np.unwrap(joint[np.isfinite(joint)])
+                out[:, columns] = at_instants(t_s[first], t_s[own], joint)
         return t_s[first], out
 
 
 def _number(values: Any, i: int) -> float:
     return float(values[i]) if 0 <= i < len(values) else np.nan
-
-
-def _at(at_s: Array, t_s: Array, values: Array) -> Array:
-    """Interpolate the columns of one joint, its angle first, to other instants."""
-    t_s, order = np.unique(t_s, return_index=True)
-    values = values[order]
-    found = between_samples(at_s, t_s, values, longest=TRUTH_GAP_S, before=TRUTH_GAP_S, after=TRUTH_GAP_S)
-    if len(t_s) > 1:
-        end = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-        wraps = np.abs(values[end, 0] - values[end - 1, 0]) > np.pi
-        found[wraps & (at_s > t_s[end - 1]) & (at_s < t_s[end])] = np.nan
-    return found

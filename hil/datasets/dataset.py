@@ -15,12 +15,15 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
 from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
+from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.partial_rows import completed
 from hil.datasets.segments import in_words, split
 from hil.datasets.truth_jumps import fastest_m_s, find_jumps
 from hil.datasets.unit_check import check_repeats, check_stamp_jumps, check_time, check_units, rolled_m
-from hil.datasets.unit_factors import Drive, check_rates, check_ways
-from hil.datasets.wheel_turns import check_steering, whole_turns
+from hil.datasets.unit_factors import check_rates, check_steering_unit, check_ways
+from hil.datasets.wheel_turns import check_steering, whole_turns, without_turns
+from hil.datasets.wheel_ways import Drive
 
 FROZEN = "ground-truth rows that repeat an earlier pose while the wheels roll (a frozen source) left out"
 _ROLLED_RAD, _LITTLE_RAD = 0.08, 0.02
@@ -63,7 +66,7 @@ class Recording:
     Attributes:
         name: file or run name; `motion` groups repetitions; `sources` and `sha256` are its files.
         t_s: (n,) strictly increasing, s; `truth_t_s` (m,) has the same time axis.
-        wheel_angle_rad: (n, 4) cumulative; `steering_rad` (n, 4).
+        wheel_angle_rad: (n, 4) cumulative; `steering_rad` (n, 4) without leaps by whole turns.
         wheel_rate_rad_s: (n, 4) velocity register, NaN where the source has none.
         truth_pose: (m, 3) m, m, rad unwrapped.
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
@@ -159,7 +162,9 @@ def _build(
     check_time(where, wheels.t_s)
     for kind, log in (("wheel", wheels), ("ground-truth", truth)):
         check_repeats(where, kind, log.t_s, log.values)
-    t_s, w, receive_s = clean(with_angles(wheels, repairs), 8, "wheel", repairs)
+    wheels = completed(with_angles(wheels, repairs), 8, "wheel", range(4, 8), repairs)
+    t_s, w, receive_s = clean(wheels, 8, "wheel", repairs)
+    truth = completed(truth, 3, "ground-truth", (2,), repairs)
     truth_t_s, pose, truth_receive_s = clean(truth, 3, "ground-truth", repairs)
     if len(t_s) < _MIN_ROWS:
         raise DataError(
@@ -180,6 +185,8 @@ def _build(
         raise DataError(where, f"wheels and ground truth share {shared_s:.2f} s", expected=">= 1 s")
     for stamps in (t_s, truth_t_s):
         check_stamp_jumps(where, stamps)
+    fresh, w = without_held(t_s, w, repairs)
+    t_s, w, receive_s = t_s[fresh], w[fresh], receive_s[fresh]
     rate = recorded_rates(w, repairs)
     turns = whole_turns(where, t_s, w[:, :4], rate)
     angle = turns.angle
@@ -206,26 +213,23 @@ def _build(
         raise DataError(
             where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
         )
-    check_ways(where, Drive(t_s, w[:, :4], truth_t_s, np.column_stack([pose[:, :2], heading])), robot)
+    raw, steering = w[:, 4:8], without_turns(w[:, 4:8])
+    as_read = np.column_stack([pose[:, :2], heading])
+    check_ways(where, Drive(t_s, w[:, :4], steering, truth_t_s, as_read), robot)
     if turns.refusal is not None:
         raise turns.refusal
     check_units(
-        where,
-        angle[by_wheels],
-        w[by_wheels, 4:8],
-        truth_t_s[by_truth],
-        pose[by_truth],
-        heading[by_truth],
-        robot,
+        where, angle[by_wheels], raw[by_wheels], truth_t_s[by_truth], pose[by_truth], heading[by_truth], robot
     )
-    check_steering(where, t_s, w[:, 4:8], angle)
+    check_steering_unit(where, Drive(t_s, angle, steering, truth_t_s, pose), raw, robot)
+    check_steering(where, t_s, steering, angle)
     check_rates(where, t_s, angle, rate)
     return Recording(
         name=name,
         motion=motion or classify(angle, pose, robot.radius_m),
         t_s=t_s,
         wheel_angle_rad=angle,
-        steering_rad=w[:, 4:8].copy(),
+        steering_rad=steering,
         wheel_rate_rad_s=rate,
         truth_t_s=truth_t_s,
         truth_pose=pose,

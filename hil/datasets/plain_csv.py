@@ -20,6 +20,7 @@ from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
+from hil.datasets.partial_rows import hold_unchanged
 from hil.datasets.public_csv import read_bytes
 from hil.datasets.recording_names import motion_of
 from hil.datasets.sampling import truth_at
@@ -70,6 +71,7 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
     truth = [columns.index(c) for c in TRUTH_COLUMNS]
     t_s = table[:, columns.index("t")]
+    hold_unchanged(t_s, table, (*wheels, *truth), lacking)
     seen = np.any(np.isfinite(table[:, truth]), axis=1)
     read = np.any(np.isfinite(table[:, wheels]), axis=1) | ~seen
     stem = path.name.removesuffix(".gz").removesuffix(".csv")

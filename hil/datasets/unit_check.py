@@ -16,7 +16,6 @@ from hil.datasets.nominal_robot import Nominal, lever_m
 _SLOWEST_ROW_S = 0.5
 _UNITS_OF_TIME = ((3e2, "milliseconds", "1e3"), (3e5, "microseconds", "1e6"), (np.inf, "nanoseconds", "1e9"))
 _DAY_S = 86400.0
-_DEGREES_MARGIN_RAD = 1.4
 _FURTHER, _FURTHER_M = 20.0, 1.0
 _TURNS_MORE, _WRAPPED_RAD = 5.0, 2.0 * np.pi
 _ROLLS_MORE, _ROLLS_M = 10.0, 0.5
@@ -97,7 +96,7 @@ def check_units(
 ) -> None:
     """Refuse angles that are not in radians and positions that are not in metres.
 
-    * Steering stays within the robot's limit, with 80 deg of margin, and is not in counts of degrees.
+    * Steering is not in counts of degrees.
     * The robot moves at most 20 times as far as its wheels roll, plus 1 m: millimetres are 1000 times.
     * It turns at most 5 times as far as its wheels can roll around its middle, since no wheel is so wrong,
       plus one turn, by which a wrapped heading may jump: degrees are 57 times. The heading is taken as in the
@@ -117,14 +116,6 @@ def check_units(
     Raises:
         DataError: a unit cannot be right.
     """
-    limit_rad = nominal.steering_limit_rad
-    if np.max(np.abs(steering)) > limit_rad + _DEGREES_MARGIN_RAD:
-        raise DataError(
-            where,
-            f"steering angles (delta) reach {np.max(np.abs(steering)):.1f}",
-            expected=f"rad, within +-{np.degrees(limit_rad):.0f} deg",
-            remedy="convert degrees to radians",
-        )
     if _in_degree_counts(steering):
         raise DataError(
             where,

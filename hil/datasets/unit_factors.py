@@ -8,13 +8,14 @@ a counter that wraps at its own whole turn is handled as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.wheel_ways import Drive, by_truth, by_wheels, missed, rolling
 from hil.robot.kinematics import WheelGeometry
 
 _STRETCH_S = 0.5
@@ -23,6 +24,7 @@ _WORTH_M = 0.1
 _OWN = 0.3
 _MOST = 0.7
 _WRONG, _RIGHT = float(np.log(2.5)), float(np.log(1.5))
+_AGREES, _OFF, _WITHIN_RAD = 0.2, 0.1, 2.2 * np.pi
 _FEWEST = 3
 _SLOWEST_RAD_S = 0.2
 _DISAGREE, _SAME_UNIT = float(np.log(2.0)), 0.2
@@ -60,6 +62,11 @@ _WAYS = (
     _Unit("theta", "degrees", np.pi / 180.0),
     _Unit("theta", "revolutions", 2.0 * np.pi),
 )
+_STEERING = (
+    _Unit("delta", "degrees", np.pi / 180.0),
+    _Unit("delta", "revolutions", 2.0 * np.pi),
+    _Unit("delta", "steps of 4096 a turn", 2.0 * np.pi / 4096.0),
+)
 _RATES = (
     _Unit("w", "revolutions per minute", 2.0 * np.pi / 60.0),
     _Unit("w", "revolutions per second", 2.0 * np.pi),
@@ -71,23 +78,6 @@ _SI = {
     "x, y": ("positions (x, y) seem", "m"),
     "theta": ("the heading (theta) seems", "rad"),
 }
-
-
-@dataclass(frozen=True)
-class Drive:
-    """Wheels and ground truth of one recording, as in the file.
-
-    Attributes:
-        t_s: (n,) times of the wheel rows, s, increasing.
-        angle: (n, 4) wheel angles.
-        truth_t_s: (m,) times of the ground truth, s, increasing.
-        pose: (m, 3) ground truth x, y, theta.
-    """
-
-    t_s: Array
-    angle: Array
-    truth_t_s: Array
-    pose: Array
 
 
 def check_ways(where: str, drive: Drive, nominal: Nominal) -> None:
@@ -138,6 +128,46 @@ def check_ways(where: str, drive: Drive, nominal: Nominal) -> None:
     )
 
 
+def check_steering_unit(where: str, drive: Drive, raw: Array, nominal: Nominal) -> None:
+    """Refuse steering angles in another unit: converted, the wheels agree with the ground truth.
+
+    Converted, each wheel misses less than 0.2 of its way from stretch to stretch, and less than half as much
+    as the worst does now; two or more are off now (a single one may be mounted half a turn round). Degrees
+    and steps are beyond a whole turn of radians, and within 1.1 turns of their own. The size alone says
+    nothing: absolute encoders count from 0 to a whole turn, and some count turns.
+
+    Args:
+        where: the file, for messages.
+        drive: recording with unwrapped angles and heading.
+        raw: (n, 4) steering angles as in the file.
+        nominal: robot with the wheels.
+
+    Raises:
+        DataError: names unit and factor.
+    """
+    edges_s, wheels = drive.edges_s(), nominal.geometry
+    moved = by_truth(drive.truth_t_s, drive.pose, edges_s, wheels)
+    rolled = by_wheels(drive, edges_s, wheels)
+    mask = rolling(rolled, moved, drive.known(edges_s), wheels)
+    before = missed(rolled[mask], moved[mask])
+    if np.count_nonzero(before > _OFF) < 2:
+        return
+    size = float(np.max(np.abs(raw)))
+    for unit in _STEERING:
+        if size * unit.to_si > _WITHIN_RAD or (unit.to_si < 1.0 and size < 2.0 * np.pi):
+            continue
+        way = by_wheels(replace(drive, steering=raw * unit.to_si), edges_s, wheels)
+        if np.max(missed(way[mask], moved[mask])) < min(_AGREES, 0.5 * float(np.max(before))):
+            raise DataError(
+                where,
+                f"steering angles (delta) seem to be in {unit.name}: a wheel misses "
+                f"{100.0 * np.max(before):.0f} % of its way by ground truth, and all agree once they are "
+                "converted",
+                expected="delta in rad",
+                remedy=f"multiply delta by {unit.to_si:.6g}",
+            )
+
+
 def _rolled(drive: Drive, edges_s: Array, wheels: WheelGeometry, factor: float = 1.0) -> Array:
     """Way (s,) of the wheels between edges (s + 1,), mean of the four, m, with angles times a factor."""
     angle = np.unwrap(drive.angle * factor, axis=0)
@@ -149,13 +179,10 @@ def _moved(
     drive: Drive, edges_s: Array, wheels: WheelGeometry, position: float = 1.0, heading: float = 1.0
 ) -> Array:
     """Way (s,) of the wheels by ground truth, mean of the four, m, with poses times two factors."""
-    x, y, theta = (drive.pose * (position, position, heading)).T
-    x, y, theta = (np.interp(edges_s, drive.truth_t_s, column) for column in (x, y, np.unwrap(theta)))
-    turn, middle = np.diff(theta), 0.5 * (theta[1:] + theta[:-1])
-    c, s = np.cos(middle), np.sin(middle)
-    ahead, left = c * np.diff(x) + s * np.diff(y), c * np.diff(y) - s * np.diff(x)
-    ways = np.hypot(ahead - wheels.y_m[:, None] * turn, left + wheels.x_m[:, None] * turn)
-    return np.asarray(ways.mean(axis=0), dtype=np.float64)
+    pose = drive.pose * (position, position, heading)
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    ways = np.abs(by_truth(drive.truth_t_s, pose, edges_s, wheels))
+    return np.asarray(ways.mean(axis=1), dtype=np.float64)
 
 
 def _logs(rolled: Array, moved: Array) -> Array:

@@ -164,6 +164,16 @@ def _since_s(t_s: Array, changed: Bools) -> Array:
     return np.asarray(np.maximum(np.minimum(lasts_s, _HUNG_S), np.diff(t_s)[:, None]), dtype=np.float64)
 
 
+def without_turns(steering: Array) -> Array:
+    """Steering angles (n, 4) in time order that do not leap by whole turns, medians within half a turn of 0.
+
+    A whole turn of a steering axis means nothing: encoders give (-pi, pi], [0, 2 pi), or count turns.
+    """
+    unwrapped = np.unwrap(steering, axis=0)
+    turns = np.round(np.median(unwrapped, axis=0) / _TURN)
+    return np.asarray(unwrapped - _TURN * turns, dtype=np.float64)
+
+
 def check_steering(where: str, t_s: Array, steering: Array, angle: Array) -> None:
     """Refuse steering angles of single wheels that leap while the wheels roll.
 

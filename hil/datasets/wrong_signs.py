@@ -17,6 +17,7 @@ from hil.core.geometry import Array, Bools
 from hil.datasets.blocks import Blocks, reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.odd_wheels import check_odd_wheels
 from hil.datasets.truth_jumps import Rows
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate
@@ -49,10 +50,12 @@ class WrongSigns:
     Attributes:
         explained: for each change of a column, by description, mask (R,) of the recordings that it explains.
         against: for each change, number of recordings that it would spoil.
+        missed: share (R,) of the true way or turning that the wheels miss as they are.
     """
 
     explained: Mapping[str, Bools]
     against: Mapping[str, int]
+    missed: Array
 
     @property
     def of_all(self) -> bool:
@@ -92,11 +95,14 @@ def wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> WrongSigns
             words: int(np.count_nonzero((missed < _RIGHT) & (share > _WRONG)))
             for words, share in changed.items()
         },
+        missed,
     )
 
 
 def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bool = False) -> None:
-    """Refuse recordings whose wheels contradict the ground truth or their own rates, see `wrong_signs`.
+    """Refuse recordings whose wheels contradict the ground truth or their own rates.
+
+    See `wrong_signs` for columns that are wrong in common, and `odd_wheels` for single wheels.
 
     Args:
         recordings: recordings to check.
@@ -108,6 +114,10 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
     """
     found = wrong_signs(recordings, nominal)
     likely = found.likely()
+    if not likely:
+        far = [one for one, share in zip(recordings, found.missed, strict=True) if share > _UNEXPLAINED]
+        if not of_all or 2 * len(far) >= len(recordings):
+            check_odd_wheels(far, nominal)
     if of_all and not found.of_all:
         return
     if not likely:

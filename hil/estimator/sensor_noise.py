@@ -104,7 +104,8 @@ def steps(wheels: Array, geometry: WheelGeometry) -> Array:
         return np.zeros((0, 11))
     dt = np.diff(wheels[:, 0])
     length = np.diff(wheels[:, 1:5], axis=0) * geometry.radius_m
-    heading = 0.5 * (wheels[1:, 5:9] + wheels[:-1, 5:9]) - geometry.steering_zero_rad
+    steering = np.unwrap(wheels[:, 5:9], axis=0)
+    heading = 0.5 * (steering[1:] + steering[:-1]) - geometry.steering_zero_rad
     u = np.stack([length * np.cos(heading), length * np.sin(heading)], axis=-1).reshape(-1, 8)
     return np.column_stack([wheels[1:, 0], dt, np.abs(length).mean(axis=1), u])
 

@@ -116,7 +116,9 @@ class OdometryEstimator(Estimator):
         turned = now.wheel_angle_rad - last.wheel_angle_rad
         if self._noise.source == "velocity":
             turned = now.wheel_rate_rad_s * dt
-        heading = 0.5 * (now.steering_rad + last.steering_rad) - self._geometry.steering_zero_rad
+        turns = np.round((now.steering_rad - last.steering_rad) / (2.0 * np.pi))
+        steered = now.steering_rad - 2.0 * np.pi * turns
+        heading = 0.5 * (steered + last.steering_rad) - self._geometry.steering_zero_rad
         u = wheel_vectors(turned * self._geometry.radius_m, heading)
         if all(usable):
             if self._model in ("dry-friction", "creep"):

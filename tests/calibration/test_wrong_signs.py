@@ -101,6 +101,11 @@ def exchanged(one, order):
     return replace(one, **{name: getattr(one, name)[:, order] for name in names})
 
 
+def turned(one):
+    """A recording whose ground truth has a heading that is a radian off."""
+    return replace(one, truth_pose=one.truth_pose + np.array([0, 0, 1.0]))
+
+
 def one_wheel_back(one):
     signs = np.array([-1, 1, 1, 1])
     return replace(
@@ -109,22 +114,23 @@ def one_wheel_back(one):
 
 
 MIXED_UP = {
-    "front left and front right exchanged": lambda one: exchanged(one, [3, 1, 2, 0]),
-    "front left and back left exchanged": lambda one: exchanged(one, [1, 0, 2, 3]),
-    "one wheel with the other sign": one_wheel_back,
-    "one steering angle with the other sign": lambda one: replace(
-        one, steering_rad=one.steering_rad * (-1, 1, 1, 1)
-    ),
-    "a heading turned by a radian": lambda one: replace(
-        one, truth_pose=one.truth_pose + np.array([0, 0, 1.0])
-    ),
+    "the FL and FR wheels are exchanged": lambda one: exchanged(one, [3, 1, 2, 0]),
+    "the FL and BL wheels are exchanged": lambda one: exchanged(one, [1, 0, 2, 3]),
+    "phi1 had the other sign": one_wheel_back,
+    "delta1 had the other sign": lambda one: replace(one, steering_rad=one.steering_rad * (-1, 1, 1, 1)),
 }
 
 
-@pytest.mark.parametrize("change", MIXED_UP)
-def test_what_no_single_sign_explains_is_named_with_the_recording_and_by_how_much(good, change):
+@pytest.mark.parametrize("said", MIXED_UP)
+def test_a_wheel_that_alone_is_wrong_is_named(good, said):
     one = next(one for one in good if one.motion == "circle_cw")
-    wrong = MIXED_UP[change](one)
+    with pytest.raises(DataError, match=rf"^circle_cw_1: .*{said}"):
+        check_signs([MIXED_UP[said](one)], Nominal())
+
+
+def test_what_no_single_column_explains_is_named_with_the_recording_and_by_how_much(good):
+    one = next(one for one in good if one.motion == "circle_cw")
+    wrong = turned(one)
     check_signs([wrong], Nominal())
     (line,) = contradictions([wrong], CAD)
     assert re.match(rf"{one.name}: from second to second the wheels miss \d+ % of the way or turning", line)
@@ -173,10 +179,10 @@ def test_a_long_rest_does_not_count(good):
 
 
 @pytest.mark.parametrize("command", ["evaluate", "replay", "tune"])
-def test_figures_of_wheels_in_another_order_do_not_end_with_0(tmp_path, capsys, good, command):
+def test_figures_of_wheels_that_contradict_do_not_end_with_0(tmp_path, capsys, good, command):
     file = tmp_path / "circle_ccw_1.csv"
     one = next(one for one in good if one.motion == "circle_ccw")
-    write_plain(file, exchanged(one, [3, 1, 2, 0]))
+    write_plain(file, turned(one))
     out = tmp_path / "tuned.toml"
     few = (
         ["--evaluations", "2", "--parameter", "wheels.step_m", "--out", str(out)] if command == "tune" else []
@@ -195,7 +201,7 @@ def test_a_calibration_that_explains_nothing_is_not_written(tmp_path, capsys, go
     out = tmp_path / "calibration.toml"
     files = [tmp_path / f"{one.name}.csv" for one in good]
     for file, one in zip(files, good, strict=True):
-        write_plain(file, MIXED_UP["a heading turned by a radian"](one))
+        write_plain(file, turned(one))
     assert main(["calibrate", *map(str, files), "--no-validation", "--json", "--out", str(out)]) == 1
     reported = capsys.readouterr()
     found = json.loads(reported.out)

@@ -116,3 +116,25 @@ def test_absurd_values_are_refused_as_if_they_had_not_come(kind, value):
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 def test_what_is_just_not_absurd_leaves_a_covariance(kind):
     run(kind, drive(seconds=0.6, seed=5), lambda m: spoilt(m, 999.0))
+
+
+@pytest.mark.parametrize("kind", ["odometry", "ekf"])
+def test_whole_turns_of_the_steering_change_no_estimate(kind):
+    """Modules half a turn round, driven backwards: their angles lie on both sides of the wrap at pi."""
+    cycles = drive(seconds=0.4, seed=5)
+
+    def estimated(change):
+        estimator = make_estimator(EstimatorConfig(kind=kind), WheelGeometry.nominal(), surface="wall")
+        estimator.reset(cycles.start)
+        return [
+            estimator.update(replace(m, wheels=tuple(map(change, m.wheels)))).pose_body_in_wall
+            for m in cycles.measurements
+        ]
+
+    def turned(w):
+        steering = np.angle(np.exp(1j * (w.steering_rad + np.pi)))
+        return replace(
+            w, wheel_angle_rad=-w.wheel_angle_rad, wheel_rate_rad_s=-w.wheel_rate_rad_s, steering_rad=steering
+        )
+
+    np.testing.assert_allclose(estimated(turned), estimated(lambda w: w), atol=1e-9)

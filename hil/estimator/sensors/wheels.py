@@ -289,8 +289,10 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
         turned = steering[i] - last[i]
         if not (math.isfinite(angle) and math.isfinite(turned)):
             continue
+        whole = 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5)
+        turned -= whole
         length = angle * wheels.radius_m[i]
-        heading = 0.5 * (steering[i] + last[i]) - wheels.steering_zero_rad[i]
+        heading = 0.5 * (steering[i] - whole + last[i]) - wheels.steering_zero_rad[i]
         u[2 * i], u[2 * i + 1] = length * math.cos(heading), length * math.sin(heading)
         spread = par.step + par.per_m * abs(length) + par.per_s * dt
         noise[2 * i] = noise[2 * i + 1] = spread + par.steering * turned * turned

@@ -13,6 +13,7 @@ from collections import deque
 import numpy as np
 
 from hil.core.clock import NS_PER_S
+from hil.core.geometry import nearest_turn
 from hil.core.signals import GyroMeasurement, WheelMeasurement
 from hil.robot.kinematics import WheelGeometry
 
@@ -146,7 +147,8 @@ class WheelTrack(Track):
         place, heading, rolled, contradiction = self._now
         step, turn, way, u = 0j, 0.0, 0.0, []
         for i, (radius, zero, along, across, turn_along, turn_across, _) in enumerate(self._wheels):
-            length, angle = (angles[i] - before[i]) * radius, 0.5 * (steering[i] + steered[i]) - zero
+            length = (angles[i] - before[i]) * radius
+            angle = 0.5 * (nearest_turn(steering[i], steered[i]) + steered[i]) - zero
             ahead, left = length * math.cos(angle), length * math.sin(angle)
             step += along * ahead + across * left
             turn += turn_along * ahead + turn_across * left

@@ -16,7 +16,7 @@ from collections import deque
 import numpy as np
 
 from hil.core.clock import NS_PER_S
-from hil.core.geometry import Array
+from hil.core.geometry import Array, nearest_turn
 from hil.core.signals import SERVOS, WHEELS, Event, WheelMeasurement
 from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
 from hil.loop.cycle_data import Check, Cycle
@@ -97,6 +97,7 @@ class WheelSlipCheck(Check):
         if last is None:
             self._last = (t_ns, angles, steering)
             return False
+        steering = [nearest_turn(a, b) for a, b in zip(steering, last[2], strict=True)]
         possible = FASTEST_RAD_S * (t_ns - last[0]) / NS_PER_S + STEP_RAD
         turned = [a - b for a, b in zip(angles + steering, last[1] + last[2], strict=True)]
         if max(turned) > possible or min(turned) < -possible:
