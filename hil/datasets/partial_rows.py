@@ -15,27 +15,52 @@ LONGEST_S = 0.1
 """Longest time between two values of a column across which it is interpolated."""
 _WHOLE = 0.5
 _TIMES_PERIOD = 2.5
-_USUAL_STEPS, _USUAL = 3.0, 95.0
+_USUAL, _SLOWEST_S = 1.5, 0.12
 
 
 def hold_unchanged(t_s: Array, table: Array, columns: Sequence[int], repairs: dict[str, int]) -> None:
     """Fill empty cells of columns of changed values only with the value before, in place.
 
+    Such a column never repeats a value, and has none while it rests. Where all columns are empty, and behind
+    that one is further from its value before than it usually goes, that is a gap, and stays empty.
+
     Args:
         t_s: (n,) times of the rows, in the order of the file, s.
         table: (n, k) rows.
-        columns: columns to fill.
+        columns: columns of one sensor.
         repairs: counts of repairs by name; changed in place.
     """
     rows = np.flatnonzero(np.isfinite(t_s))
     rows = rows[np.argsort(t_s[rows], kind="stable")]
+    at = np.ix_(rows, np.array(columns))
+    values = table[at]
+    known = np.isfinite(values)
+    if known.all() or not known.any(axis=0).all():
+        return
+    before, behind = _nearest(values), _nearest(values[::-1])[::-1]
+    steps = [np.abs(np.diff(column[own])) for column, own in zip(values.T, known.T, strict=True)]
+    usual = np.array([_USUAL * np.median(own) if len(own) else 0.0 for own in steps])
+    near = np.all(~(np.abs(behind - before) > usual), axis=1) | known.any(axis=1)
+    gaps = np.cumsum(~near)
     filled = 0
-    for j in columns:
-        column = table[rows, j]
-        if number := _hold(t_s[rows], column):
-            table[rows, j] = column
-            filled += number
+    for j, own_steps in enumerate(steps):
+        own = np.flatnonzero(known[:, j])
+        lasts_s = np.diff(t_s[rows][own])
+        whole = gaps[own[1:]] == gaps[own[:-1]]
+        rests = whole & (own_steps <= usual[j]) & (lasts_s > _TIMES_PERIOD * np.median(lasts_s))
+        if not own_steps.all() or not rests.any() or np.median(lasts_s) > _SLOWEST_S:
+            continue
+        fill = ~known[:, j] & near & np.isfinite(before[:, j])
+        values[fill, j] = before[fill, j]
+        filled += int(np.count_nonzero(fill))
+    table[at] = values
     count(repairs, "cells that are empty as nothing had changed filled with the value before", filled)
+
+
+def _nearest(values: Array) -> Array:
+    """Last known value (n, k) of each column at or before each row; NaN before the first."""
+    rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], 0)
+    return np.take_along_axis(values, np.maximum.accumulate(rows, axis=0), axis=0)
 
 
 def completed(log: Log, needed: int, kind: str, angles: Sequence[int], repairs: dict[str, int]) -> Log:
@@ -74,30 +99,6 @@ def completed(log: Log, needed: int, kind: str, angles: Sequence[int], repairs: 
 
 def _period_s(t_s: Array) -> float:
     return float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
-
-
-def _hold(t_s: Array, column: Array) -> int:
-    """Fill the empty cells of a column of changed values only, in place; return their number.
-
-    Such a column never repeats a value, and has none while it rests. Where a value behind empty cells is
-    further from the one before than the column usually goes, the cells are a gap and stay empty.
-    """
-    own = np.flatnonzero(np.isfinite(column))
-    steps, lasts_s = np.abs(np.diff(column[own])), np.diff(t_s[own])
-    if len(own) < 2 or len(own) == len(column) or not steps.all():
-        return 0
-    beside = np.diff(own) == 1
-    usual = _USUAL_STEPS * float(np.percentile(steps[beside] if beside.any() else steps, _USUAL))
-    ends = np.append(own[1:], len(column))
-    if not np.any((steps <= usual) & (lasts_s > _TIMES_PERIOD * np.median(lasts_s))):
-        return 0
-    near = np.append(steps <= usual, True)
-    filled = 0
-    for begin, end, fill in zip(own.tolist(), ends.tolist(), near.tolist(), strict=True):
-        if fill and end > begin + 1:
-            column[begin + 1 : end] = column[begin]
-            filled += end - begin - 1
-    return filled
 
 
 def at_instants(at_s: Array, t_s: Array, values: Array) -> Array:

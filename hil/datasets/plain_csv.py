@@ -71,7 +71,8 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
     truth = [columns.index(c) for c in TRUTH_COLUMNS]
     t_s = table[:, columns.index("t")]
-    hold_unchanged(t_s, table, (*wheels, *truth), lacking)
+    for sensor in (wheels[:4], wheels[4:8], wheels[8:], truth):
+        hold_unchanged(t_s, table, sensor, lacking)
     seen = np.any(np.isfinite(table[:, truth]), axis=1)
     read = np.any(np.isfinite(table[:, wheels]), axis=1) | ~seen
     stem = path.name.removesuffix(".gz").removesuffix(".csv")

@@ -152,20 +152,23 @@ def check_steering_unit(where: str, drive: Drive, raw: Array, nominal: Nominal) 
     before = missed(rolled[mask], moved[mask])
     if np.count_nonzero(before > _OFF) < 2:
         return
-    size = float(np.max(np.abs(raw)))
+    size, fits = float(np.max(np.abs(raw))), list[tuple[float, _Unit]]()
     for unit in _STEERING:
         if size * unit.to_si > _WITHIN_RAD or (unit.to_si < 1.0 and size < 2.0 * np.pi):
             continue
         way = by_wheels(replace(drive, steering=raw * unit.to_si), edges_s, wheels)
-        if np.max(missed(way[mask], moved[mask])) < min(_AGREES, 0.5 * float(np.max(before))):
-            raise DataError(
-                where,
-                f"steering angles (delta) seem to be in {unit.name}: a wheel misses "
-                f"{100.0 * np.max(before):.0f} % of its way by ground truth, and all agree once they are "
-                "converted",
-                expected="delta in rad",
-                remedy=f"multiply delta by {unit.to_si:.6g}",
-            )
+        after = float(np.max(missed(way[mask], moved[mask])))
+        if after < min(_AGREES, 0.5 * float(np.max(before))):
+            fits.append((after, unit))
+    if fits:
+        unit = min(fits, key=lambda fit: fit[0])[1]
+        raise DataError(
+            where,
+            f"steering angles (delta) seem to be in {unit.name}: a wheel misses {100.0 * np.max(before):.0f} "
+            "% of its way by ground truth, and all agree once they are converted",
+            expected="delta in rad",
+            remedy=f"multiply delta by {unit.to_si:.6g}",
+        )
 
 
 def _rolled(drive: Drive, edges_s: Array, wheels: WheelGeometry, factor: float = 1.0) -> Array:

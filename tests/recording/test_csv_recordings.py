@@ -241,7 +241,13 @@ def test_receive_stamps_become_increasing_by_microseconds():
     ("spoil", "message"),
     [
         (lambda w, t: (w, 1000 * t), "millimetres"),
-        (lambda w, t: (np.column_stack([w[:, :4], np.full((len(w), 4), 45.0)]), t), "degrees"),
+        (
+            lambda w, t: (
+                np.column_stack([w[:, :4], np.full((len(w), 4), 45.0)]),
+                np.sqrt(0.5) * t[:, [0, 0, 2]],
+            ),
+            "degrees",
+        ),
         (lambda w, t: (w, np.full_like(t, np.nan)), "ground truth"),
         (lambda w, t: (w * np.nan, t), "usable wheel rows"),
     ],
