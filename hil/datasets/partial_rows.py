@@ -32,7 +32,7 @@ def hold_unchanged(t_s: Array, table: Array, columns: Sequence[int], repairs: di
     """
     rows = np.flatnonzero(np.isfinite(t_s))
     rows = rows[np.argsort(t_s[rows], kind="stable")]
-    at = np.ix_(rows, np.array(columns))
+    at = np.ix_(rows, np.array(columns, dtype=np.int_))
     values = table[at]
     known = np.isfinite(values)
     if known.all() or not known.any(axis=0).all():
