@@ -30,14 +30,14 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import MonotonicClock
 from hil.core.signals import ServoSetpoint
 from hil.drivers.servos import DynamixelServos
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.plant import make_plant
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World, random_stream
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 BAUD, LATENCY_S = 1_000_000, 0.001
 IDS = tuple(range(1, 9))

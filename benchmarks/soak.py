@@ -42,7 +42,7 @@ from hil.bench import open_bench
 from hil.core.clock import NS_PER_S
 from hil.core.errors import HilError
 from hil.core.registry import kinds
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
 

@@ -39,6 +39,7 @@ PLACES = {
     "fakes": (2.0, 4),
     "fan_daemon": (0.4, 5.2),
     "links": (1.2, 5.9),
+    "faults": (1.2, 6.9),
     "recording": (3.0, 4),
     "calibration": (4.15, 2.7),
     "datasets": (3.6, 3.35),

@@ -13,7 +13,7 @@ from hil.bench.emulation import supported_faults
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
 from hil.core.signals import KINDS as KINDS_HERE
-from hil.fakes.fault import (
+from hil.faults.fault import (
     DELAY_S,
     DUTY,
     FACTOR,
@@ -24,6 +24,7 @@ from hil.fakes.fault import (
     VOCABULARY,
     Supported,
 )
+from hil.faults.messages import GAP_S, PIECE_BYTES
 
 PAGE = Path(__file__).with_name("faults.md")
 ROOT = Path(hil.__file__).resolve().parent
@@ -39,6 +40,7 @@ imu:stuck@2+3                        from second 2 to second 5
 servo.drive_FL:off@5                 from second 5 to the end
 tracker:wrong@1,scale=0.8            a camera that sees every step a fifth too short
 servos:drop@0+10,probability=0.2     every fifth reply is lost, for ten seconds
+servos:silent@3+0.5,direction=both   half a second without any message, also towards the servos
 ```
 
 `hil run`, `hil live` and `hil emulate` take a fault as `--fault` (repeatable). In the bench file it is
@@ -64,6 +66,12 @@ time, world time is the bench's clock; `hil emulate --await-start` stops it unti
 a start a fault acts from the beginning, without a duration to the end. `reset` and `jump` act once, at the
 start; `jump` of motion capture lasts. Of two faults of one kind on one device the one that began last counts.
 
+**One draw per message.** A fault with a probability draws once for each message: a reply of a bus (all that
+the servos send to one request, in one packet or in eight), a packet of a stream, a frame, a datagram. What
+becomes of a message is one rule for all wires. It acts on messages from the device unless `direction` says
+otherwise: replies are lost, and commands still arrive. (The propellers' Teensy never sends: there it acts on
+the commands.)
+
 **Timeout of a silent sensor.** The bench waits for `fail_after_s` of the sensor's table in the bench file:
 3 s for an IMU, 2 s for camera and motion capture, 1 s for encoders and load cells, unless you change it.
 Longer silence ends the drive, or the observation at rest, with `DeviceTimeoutError` (exit code 3). This
@@ -84,6 +92,8 @@ SHARED = {
     "probability": f"{PROBABILITY:g}",
     "factor": f"{FACTOR:g}",
     "delay_s": f"{DELAY_S:g}",
+    "size": f"{PIECE_BYTES}",
+    "gap_s": f"{GAP_S:g}",
 }
 _INHERITED = re.compile(
     r"from (hil[\w.]+_faults|hil\.fakes\.adhesion\.(?:vesc_node|motor_controller)) import"

@@ -18,10 +18,10 @@ from hil.bench.hold.result import Held
 from hil.bench.loop_settings import alignment_parameters, safety_limits
 from hil.bench.opening import make_bench_model, open_bench
 from hil.drivers.servos import set_up
-from hil.fakes.fault import Fault, make_fault
-from hil.fakes.fault import check_kind as check_fault_kind
-from hil.fakes.fault import describe as describe_fault
 from hil.fakes.world import World
+from hil.faults.fault import Fault, make_fault
+from hil.faults.fault import check_kind as check_fault_kind
+from hil.faults.fault import describe as describe_fault
 
 __all__ = [
     "Bench",

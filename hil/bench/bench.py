@@ -23,8 +23,8 @@ from hil.core.geometry import Array, ArrayLike
 from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
 from hil.core.signals import CycleRecord, RobotState
 from hil.fakes.body_interface import PlantState
-from hil.fakes.fault import Fault
 from hil.fakes.world import World
+from hil.faults.fault import Fault
 from hil.loop.control_loop import ControlLoop
 from hil.loop.device_set import DeviceSet
 from hil.loop.driven_motion import Motion

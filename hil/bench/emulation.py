@@ -27,13 +27,13 @@ from hil.core.registry import base_of, kinds
 from hil.core.signals import KINDS
 from hil.datasets.read import read_recordings
 from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Transport
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import Plant
-from hil.fakes.fault import Fault, Supported, describe
-from hil.fakes.fault_files import read_faults
 from hil.fakes.plant import RecordedMotion, RecordedRobot, SteppedBody, make_plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
+from hil.faults.fault import Fault, Supported, describe
+from hil.faults.files import read_faults
+from hil.faults.plan import FaultPlan
 
 _NUMBERS = itertools.count(1)
 _EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Transport"

@@ -29,8 +29,8 @@ from hil.core.device import Connection
 from hil.core.errors import DeviceError, UsageError
 from hil.core.interfaces import Sink
 from hil.core.registry import kinds
-from hil.fakes.fault import Fault, describe
 from hil.fakes.world import VirtualClock
+from hil.faults.fault import Fault, describe
 
 LOG = logging.getLogger(__name__)
 

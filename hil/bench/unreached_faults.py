@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from hil.core.clock import NS_PER_S
-from hil.fakes.fault import Fault, describe, parse_fault
+from hil.faults.fault import Fault, describe, parse_fault
 
 
 def not_begun(faults: Iterable[Fault], world_ns: int) -> tuple[str, ...]:

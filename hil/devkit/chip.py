@@ -4,13 +4,13 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.device import Connection
 from hil.core.geometry import rotated
 from hil.devices.emulated_device import EmulatedDevice, Transport, Wired, on_serial_line
-from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.fault import PERIODIC, Fault, Supported
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.streaming_chip import COMMON_FAULTS, CanStreamingNode, SerialStreamingChip, StreamingChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
+from hil.faults.fault import PERIODIC, Fault, Supported
+from hil.faults.plan import DeviceFaults
 
 __all__ = [
     "COMMON_FAULTS",

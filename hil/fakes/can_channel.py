@@ -19,17 +19,11 @@ import can
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import UsageError
-from hil.fakes.fault import STRIKES, Supported
 from hil.fakes.world import NEVER_NS, World
+from hil.faults.fault import BOTH, IN, OUT, Supported
+from hil.faults.messages import FRAME_FAULTS, Messages, declared
 
-WIRE_FAULTS: Supported = {
-    "drop": STRIKES,
-    "truncate": STRIKES,
-    "duplicate": STRIKES,
-    "bus_off": (),
-    "unplug": (),
-    "baud_mismatch": (),
-}
+_BUS_FAULTS: Supported = {"bus_off": (), "unplug": (), "baud_mismatch": ()}
 
 _QUEUE, _MOST_BYTES = 4096, 64
 _OVERHEAD_BITS, _STUFFING = 47, 1.1
@@ -68,7 +62,7 @@ class CanChannel:
     Args:
         world: time, seed and faults.
         name: channel name for `can.Bus`.
-        device: device name that wire faults apply to.
+        device: device name that wire faults apply to; a message is a frame.
     """
 
     def __init__(
@@ -81,8 +75,8 @@ class CanChannel:
         ]
         self.faults = world.faults.of(device)
         self._listeners: list[tuple[deque[QueuedFrame], Callable[[], None] | None]] = []
-        self._rng = world.rng(f"can.{device}")
-        self._free_ns = 0
+        self._messages = Messages(world.faults, (device,), world.rng(f"can.{device}"), FRAME_FAULTS)
+        self._free_ns = self._held_up_ns = 0
         self._bus_off_seen = False
 
     def open(self) -> CanChannel:
@@ -97,6 +91,17 @@ class CanChannel:
         """Remove the channel from the registry. Idempotent."""
         if _CHANNELS.get(self.name) is self:
             del _CHANNELS[self.name]
+
+    def declare(self, device: str, own: Supported, ways: str = BOTH) -> None:
+        """Declare the faults of a device on this bus: its own ones, and those that it leaves to the bus.
+
+        Args:
+            device: its name.
+            own: faults that it produces itself.
+            ways: `IN` for a device that listens to no frame.
+        """
+        self.world.faults.declare(device, declared(own, _BUS_FAULTS, FRAME_FAULTS, ways))
+        self._messages.leave_out(own)
 
     def listen(self, on_frames: Callable[[], None] | None = None) -> deque[QueuedFrame]:
         """Add a listener. Its queue holds (arrival time, frame); a full queue drops the oldest frames.
@@ -121,10 +126,10 @@ class CanChannel:
         extended: bool = False,
         sender: deque[QueuedFrame] | None = None,
     ) -> None:
-        """Send a data frame, not before `t_ns`; every listener except `sender` receives it."""
+        """Send a data frame of the device, not before `t_ns`; every listener except `sender` receives it."""
         if not self.faults.empty:
             message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
-            self.send(message, t_ns, sender=sender)
+            self._send(message, t_ns, IN, sender)
             return
         arrival_ns = self._crossed_ns(extended, len(data), t_ns)
         frame = CanFrame(arrival_ns / NS_PER_S, frame_id, data, extended, False, False)
@@ -135,24 +140,44 @@ class CanChannel:
                     reported()
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[QueuedFrame] | None = None) -> None:
-        """Send any frame and take ownership of it; every listener except `sender` receives it."""
-        arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
-        copies = 1
-        if not self.faults.empty:
-            spoilt = self._spoil(message, t_ns)
-            if spoilt is None:
-                return
-            message, copies = spoilt
-        self._hand_out(message, arrival_ns, sender)
-        if copies > 1:
-            again = copy(message)
-            self._hand_out(again, self._crossed_ns(again.is_extended_id, again.dlc, arrival_ns), sender)
+        """Send any frame of a client and take ownership of it; every listener except `sender` receives it."""
+        if self.faults.empty:
+            arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
+            self._hand_out(message, arrival_ns, sender)
+        else:
+            self._send(message, t_ns, OUT, sender)
+
+    def _send(self, message: can.Message, t_ns: int, way: str, sender: deque[QueuedFrame] | None) -> None:
+        """Send a frame as the faults of the bus leave it."""
+        off = any(self.faults.find(self._device, kind, t_ns) for kind in ("bus_off", "baud_mismatch"))
+        was_off, self._bus_off_seen = self._bus_off_seen, off
+        if off:
+            if not was_off:
+                error = can.Message(is_error_frame=True, dlc=8, data=bytes(8))
+                self._hand_out(error, self._crossed_ns(False, 8, t_ns), sender)
+        elif not self.faults.find(self._device, "unplug", t_ns):
+            for data in self._messages.received(bytes(message.data), t_ns, way):
+                one = _copied(message)
+                if data != one.data:
+                    one.data, one.dlc = bytearray(data), len(data)
+                self._hand_out(one, self._arrival_ns(one, t_ns, way), sender)
+
+    def _arrival_ns(self, message: can.Message, t_ns: int, way: str) -> int:
+        """Arrival time of a frame; frames of the device that it sends late leave the bus free until then."""
+        if way == IN and max(t_ns, self._held_up_ns) > self.world.now_ns:
+            begins_ns = max(t_ns, self._held_up_ns)
+            self._held_up_ns = begins_ns + self._takes_ns[message.is_extended_id][message.dlc]
+            return self._held_up_ns
+        return self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
 
     def _hand_out(self, message: can.Message, arrival_ns: int, sender: deque[QueuedFrame] | None) -> None:
         message.timestamp = arrival_ns / NS_PER_S
         for queue, reported in self._listeners:
             if queue is not sender:
-                queue.append((arrival_ns, message))
+                if queue and queue[-1][0] > arrival_ns:
+                    _insert(queue, (arrival_ns, message))
+                else:
+                    queue.append((arrival_ns, message))
                 if reported is not None:
                     reported()
 
@@ -167,28 +192,12 @@ class CanChannel:
         if not self.faults.empty and self.faults.find(self._device, "unplug", self.world.now_ns):
             raise can.CanOperationError("the CAN adapter is gone")
 
-    def _spoil(self, message: can.Message, t_ns: int) -> tuple[can.Message, int] | None:
-        """Apply the wire faults: the frame as received and its number of copies, or None if it is lost."""
-        faults = {f.kind: f for f in self.faults.active(self._device, t_ns)}
-        if "bus_off" in faults or "baud_mismatch" in faults:
-            if self._bus_off_seen:
-                return None
-            self._bus_off_seen = True
-            return can.Message(is_error_frame=True, dlc=8, data=bytes(8)), 1
-        self._bus_off_seen = False
 
-        def hit(kind: str) -> bool:
-            fault = faults.get(kind)
-            return fault is not None and fault.hits(self._rng)
-
-        if "unplug" in faults or hit("drop"):
-            return None
-        if hit("truncate"):
-            short = bytes(message.data[: int(self._rng.integers(0, 8))])
-            message = can.Message(
-                arbitration_id=message.arbitration_id, data=short, is_extended_id=message.is_extended_id
-            )
-        return message, 2 if hit("duplicate") else 1
+def _insert(queue: deque[QueuedFrame], frame: QueuedFrame) -> None:
+    """Put a frame before those that arrive later; a full queue drops its oldest frame."""
+    if len(queue) == queue.maxlen:
+        queue.popleft()
+    queue.insert(sum(at_ns <= frame[0] for at_ns, _ in queue), frame)
 
 
 class WorldBus(can.BusABC):

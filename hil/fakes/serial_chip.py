@@ -9,15 +9,20 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import NamedTuple, Protocol
 
-from hil.fakes.fault import Supported
 from hil.fakes.world import NEVER_NS
+from hil.faults.fault import BOTH, Supported
 
 
 class Reply(NamedTuple):
-    """Bytes sent by a chip: not before `ready_ns` (world time), then paced at the baud rate."""
+    """Bytes sent by a chip: not before `ready_ns` (world time), then paced at the baud rate.
+
+    Attributes:
+        goes_on: whether these bytes belong to the same message as the reply before, for faults of the wire.
+    """
 
     ready_ns: int
     data: bytes
+    goes_on: bool = False
 
 
 class SerialChip(Protocol):
@@ -25,7 +30,9 @@ class SerialChip(Protocol):
 
     Attributes:
         name: device name, also that of its faults.
-        supported_faults: faults inside the chip; the line declares them together with its own.
+        supported_faults: faults inside the chip; the line declares them together with its own, and leaves
+            those to the chip that both have.
+        ways: directions in which the line carries bytes, seen from the bench.
         uart_baud: baud rate of its UART: bytes sent or received at another rate become noise. None for a
             device without UART, as on USB, or if the chip itself checks the rate.
         polls_alone: `next_poll_ns` becomes earlier only in calls of `receive` and `poll`.
@@ -35,6 +42,7 @@ class SerialChip(Protocol):
     supported_faults: Supported
     uart_baud: int | None = None
     polls_alone: bool = False
+    ways: str = BOTH
 
     @abstractmethod
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:

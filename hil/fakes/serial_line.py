@@ -10,15 +10,16 @@ time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import serial
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import UsageError
-from hil.fakes.fault import STRIKES, Supported
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
+from hil.faults.fault import IN, OUT, Supported
+from hil.faults.messages import STREAM_FAULTS, Messages, declared
 
 TOLERANCE = 0.03
 """Largest relative difference of two usable baud rates: well within half a bit of ten."""
@@ -62,14 +63,7 @@ def _level(levels: list[int], at: float) -> int:
     return levels[int(at)] if at < len(levels) else 1
 
 
-LINE_FAULTS: Supported = {
-    "drop": STRIKES,
-    "corrupt": STRIKES,
-    "truncate": STRIKES,
-    "duplicate": STRIKES,
-    "baud_mismatch": (),
-    "unplug": (),
-}
+_PORT_FAULTS: Supported = {"baud_mismatch": (), "unplug": ()}
 
 _BITS_NS = 10 * NS_PER_S
 """Duration of one byte on the wire at 1 baud."""
@@ -87,8 +81,8 @@ class Unplugged(Exception):
 class SerialLine(Scheduled):
     """One chip on one USB adapter. Registers itself as a part of the world.
 
-    Faults (`drop corrupt truncate duplicate`, each per transfer with option `probability=`,
-    `baud_mismatch`, `unplug`) use the chip's name.
+    Faults of the line use the chip's name: those of `hil.faults.messages`, `baud_mismatch` and `unplug`. A
+    message is a write of the client, or a reply of the chip.
 
     Args:
         world: time, seed and faults.
@@ -101,7 +95,13 @@ class SerialLine(Scheduled):
         self.world, self.chip, self.name = world, chip, name or chip.name
         self.faults = world.faults.of(chip.name)
         self._latency_ns = nanoseconds(latency_s)
-        self._rng = world.rng(f"line.{chip.name}")
+        self._messages = Messages(
+            world.faults,
+            (chip.name,),
+            world.rng(f"line.{chip.name}"),
+            STREAM_FAULTS.keys() - chip.supported_faults.keys(),
+            way=OUT if chip.ways == OUT else IN,
+        )
         self._out: deque[tuple[int, bytes, int]] = deque()
         self._in: deque[tuple[int, bytes]] = deque()
         self._out_free_ns = self._in_free_ns = 0
@@ -110,7 +110,8 @@ class SerialLine(Scheduled):
         self.in_use = False
         self._polls = getattr(type(chip), "next_poll_ns", None) is not SerialChip.next_poll_ns
         self.announces = getattr(chip, "polls_alone", False)
-        world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
+        faults = declared(chip.supported_faults, _PORT_FAULTS, STREAM_FAULTS, chip.ways)
+        world.faults.declare(chip.name, faults)
         world.add(self)
 
     def open(self) -> SerialLine:
@@ -135,8 +136,8 @@ class SerialLine(Scheduled):
             self.check_plugged()
         self._baud = baud
         start_ns = now_ns if now_ns > self._out_free_ns else self._out_free_ns
-        for piece in (data,) if faultless else self._spoil(data, now_ns):
-            start_ns += len(piece) * _BITS_NS // baud
+        for pause_ns, piece in ((0, data),) if faultless else self._heard(data, now_ns):
+            start_ns += pause_ns + len(piece) * _BITS_NS // baud
             self._out.append((start_ns, piece, baud))
         self._out_free_ns = start_ns
         self.world.changed(self)
@@ -225,16 +226,34 @@ class SerialLine(Scheduled):
             return round(baud * _WRONG_BAUD_FACTOR)
         return baud if self.chip.uart_baud is None else self.chip.uart_baud
 
+    def _heard(self, data: bytes, t_ns: int) -> Iterator[tuple[int, bytes]]:
+        """Pieces of a client's bytes that reach the chip, each with the pause before it."""
+        for message in self._messages.received(data, t_ns, OUT):
+            yield from self._messages.pieces(message, t_ns, OUT)
+
     def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
-        faultless, rate = self.faults.empty, self._chip_baud(baud, t_ns)
-        for ready_ns, reply in replies:
-            data = reply if same_rate(rate, baud) else decode_at_baud(reply, rate, baud)
-            for piece in (data,) if faultless else self._spoil(data, t_ns):
-                free_ns = self._in_free_ns
-                self._deliver(piece, ready_ns if ready_ns > free_ns else free_ns, rate)
+        rate = self._chip_baud(baud, t_ns)
+        if not same_rate(rate, baud):
+            replies = [r._replace(data=decode_at_baud(r.data, rate, baud)) for r in replies]
+        if self.faults.empty:
+            for reply in replies:
+                self._deliver(reply.data, reply.ready_ns, rate)
+        elif not self.faults.find(self.chip.name, "unplug", t_ns):
+            for parts in _messages(replies):
+                for message in self._messages.received(b"".join(part.data for part in parts), t_ns):
+                    self._deliver_parts(message, parts, rate, t_ns)
+
+    def _deliver_parts(self, message: bytes, parts: list[Reply], rate: int, t_ns: int) -> None:
+        """Queue a message that the chip has sent in these parts, as far as its bytes go."""
+        for part in parts:
+            ready_ns, data, message = part.ready_ns, message[: len(part.data)], message[len(part.data) :]
+            for pause_ns, piece in self._messages.pieces(data, t_ns):
+                self._deliver(piece, max(ready_ns, self._in_free_ns) + pause_ns, rate)
 
     def _deliver(self, data: bytes, start_ns: int, baud: int) -> None:
         """Queue a paced reply for the host, in packets of the adapter."""
+        if start_ns < self._in_free_ns:
+            start_ns = self._in_free_ns
         packet = _USB_PACKET if self._latency_ns else 1
         for first in range(0, len(data), packet):
             piece = data[first : first + packet]
@@ -243,25 +262,16 @@ class SerialLine(Scheduled):
             self._in.append((start_ns + latency_ns, piece))
         self._in_free_ns = start_ns
 
-    def _spoil(self, data: bytes, t_ns: int) -> tuple[bytes, ...]:
-        """Apply the wire faults: the transfers received for one sent."""
-        faults = self.faults
 
-        def hit(kind: str) -> bool:
-            fault = faults.find(self.chip.name, kind, t_ns)
-            return fault is not None and fault.hits(self._rng)
-
-        if faults.find(self.chip.name, "unplug", t_ns) or hit("drop"):
-            return ()
-        if data and hit("truncate"):
-            data = data[: int(self._rng.integers(0, len(data)))]
-        if not data:
-            return ()
-        if hit("corrupt"):
-            place = int(self._rng.integers(len(data)))
-            spoilt = data[place] ^ (1 << int(self._rng.integers(8)))
-            data = data[:place] + bytes((spoilt,)) + data[place + 1 :]
-        return (data, data) if hit("duplicate") else (data,)
+def _messages(replies: list[Reply]) -> list[list[Reply]]:
+    """Replies grouped by message."""
+    groups: list[list[Reply]] = []
+    for reply in replies:
+        if reply.goes_on and groups:
+            groups[-1].append(reply)
+        else:
+            groups.append([reply])
+    return groups
 
 
 def find_line(name: str) -> SerialLine:

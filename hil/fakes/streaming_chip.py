@@ -7,22 +7,20 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.fakes.active_faults import DeviceFaults
-from hil.fakes.can_channel import WIRE_FAULTS, CanChannel
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.fault import PERIODIC, Fault, Supported
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled
+from hil.faults.fault import Fault, Supported
+from hil.faults.plan import DeviceFaults
 
 COMMON_FAULTS: Supported = {
     "off": (),
     "brownout": (),
     "reset": (),
     "stuck": (),
-    "garbage": (),
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
 }
 """Faults that the base classes implement for every such chip; serial line and CAN bus add theirs."""
 
@@ -104,14 +102,10 @@ class StreamingChip:
         measured = self.measure(t_ns)
         stuck = self.fault("stuck", t_ns) is not None
         self._frozen = (self._frozen or measured) if stuck else None
-        silent = self.fault("intermittent", t_ns)
-        return None if silent is not None and silent.silences(t_ns) else self._frozen or measured
+        return self._frozen or measured
 
     def _delay_ns(self, t_ns: int) -> int:
         return nanoseconds(self.delay_s) + self.faults.lateness_ns(t_ns)
-
-    def _spoilt(self, data: bytes, t_ns: int) -> bytes:
-        return self.rng.bytes(len(data)) if self.fault("garbage", t_ns) is not None else data
 
     def _is_down(self, t_ns: int) -> bool:
         return t_ns < self._ready_ns or self._was_off
@@ -165,7 +159,7 @@ class SerialStreamingChip(StreamingChip, SerialChip):
         data = self.encode(measured)
         if not isinstance(data, bytes):
             raise TypeError(f"encode() gave {data!r:.60}, expected bytes")
-        return [Reply(t_ns + self._delay_ns(t_ns), self._spoilt(data, t_ns))]
+        return [Reply(t_ns + self._delay_ns(t_ns), data)]
 
 
 class CanStreamingNode(StreamingChip, Scheduled):
@@ -176,7 +170,7 @@ class CanStreamingNode(StreamingChip, Scheduled):
     def __init__(self, request: EmulationRequest, channel: CanChannel) -> None:
         super().__init__(request)
         self._channel = channel
-        self.world.faults.declare(self.name, {**COMMON_FAULTS, **WIRE_FAULTS, **self.own_faults})
+        channel.declare(self.name, {**COMMON_FAULTS, **self.own_faults})
         self.world.add(self)
 
     @classmethod
@@ -199,4 +193,4 @@ class CanStreamingNode(StreamingChip, Scheduled):
             return
         sent_ns = t_ns + self._delay_ns(t_ns)
         for frame_id, data in self.encode(measured).items():
-            self._channel.transmit(frame_id, self._spoilt(data, t_ns), sent_ns, extended=frame_id > 0x7FF)
+            self._channel.transmit(frame_id, data, sent_ns, extended=frame_id > 0x7FF)

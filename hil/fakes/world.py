@@ -25,8 +25,8 @@ import numpy as np
 
 from hil.core.clock import Clock, Task
 from hil.core.errors import HilError, UsageError
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import Plant
+from hil.faults.plan import FaultPlan
 
 NEVER_NS = 1 << 62
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 AT_S = 1.0
 """World time at which a fault begins, s: after the devices were opened, before the robot has moved far."""
-_BORNE = ("drop", "corrupt", "truncate", "duplicate", "slow", "intermittent", "delayed")
+_BORNE = ("drop", "corrupt", "truncate", "duplicate", "slow", "intermittent", "delayed", "pieces")
 _BORNE_OF_SENSORS = (*_BORNE, "reset", "jump")
 """Faults that a bench tolerates, of any device and of sensors: no test has to notice them."""
 _HARMFUL_OPTIONS = {"scale": 0.9, "offset_m": 0.1, "rate_rad_s": 0.1}

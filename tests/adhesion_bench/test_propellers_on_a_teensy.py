@@ -5,12 +5,12 @@ import pytest
 
 from hil.config.robot import RobotConfig
 from hil.config.thrust import TeensyConfig
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.thrust import TeensyChip
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.world import VirtualClock, World
+from hil.faults.plan import FaultPlan
 
 S = 1_000_000_000
 

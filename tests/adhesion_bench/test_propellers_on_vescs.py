@@ -24,14 +24,14 @@ from hil.devices.thrust.vesc import VescPropellers
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.devices.thrust.vesc.driver import VescThrust
 from hil.devices.thrust.vesc.emulated_propellers import PropellerNode, VescThrustTruthOptions, propellers
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel, WorldBus
-from hil.fakes.fault import parse_fault
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.protocols import protocol_of
 from hil.fan_daemon.spec import Spec
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 from hil.robot.trajectories import line
 
 S = 1_000_000_000

@@ -8,12 +8,12 @@ import numpy as np
 
 from hil.config.adhesion import VescConfig
 from hil.config.robot import RobotConfig
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.fault import parse_fault
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 ON = {"messages_1": (1,), "messages_2": (4, 5), "start": "off"}
 """Status messages as a commissioned controller sends them, and a fan at rest."""

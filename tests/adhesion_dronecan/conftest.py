@@ -13,11 +13,11 @@ from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
 from hil.devices.adhesion.dronecan.emulated_node import DroneCanNode, DroneCanTruthOptions
 from hil.devices.adhesion.emulated_daemon import DaemonInWorld
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.fault import parse_fault
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 CHANNEL = "dronecan"
 

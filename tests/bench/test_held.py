@@ -6,7 +6,7 @@ import pytest
 import hil
 from hil.core.errors import ConfigError, DeviceError, HilError, SafetyStop, UsageError
 from hil.core.signals import SERVOS
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 from hil.robot.trajectories import line
 from tests.patience import FANLESS
 

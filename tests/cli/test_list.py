@@ -7,7 +7,7 @@ import pytest
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 from hil.procedure.procedure_lookup import load_procedure
 
 

@@ -9,9 +9,9 @@ from hil.bench import supported_faults
 from hil.config.loading import load_bench
 from hil.core.errors import FaultNotSupportedError, UsageError
 from hil.core.registry import kinds, which_device
-from hil.fakes.active_faults import DeviceFaults, FaultPlan
-from hil.fakes.fault import FINITE, OPTIONS, VOCABULARY, describe, make_fault, option_of, parse_fault
 from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
+from hil.faults.fault import FINITE, OPTIONS, VOCABULARY, describe, make_fault, option_of, parse_fault
+from hil.faults.plan import DeviceFaults, FaultPlan
 from tests.still_plant import StillPlant
 
 
@@ -69,7 +69,9 @@ def test_both_ends_of_a_range_are_taken(name):
     kind, _, option = name.rpartition(":")
     kind = kind or "wrong"
     for value in (OPTIONS[name].least, OPTIONS[name].most):
-        assert make_fault("imu", kind, **{option: value}).option(option, 5.5) == value
+        fault = make_fault("imu", kind, **{option: OPTIONS[name].text(value)})
+        assert fault.option(option, 5.5) == value
+        assert parse_fault(describe(fault)) == fault
     with pytest.raises(UsageError, match=option):
         make_fault("imu", kind, **{option: OPTIONS[name].most * 1.001 + 1e-3})
 

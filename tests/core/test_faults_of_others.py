@@ -8,9 +8,9 @@ import numpy as np
 import hil
 from hil.core.errors import HilError
 from hil.core.signals import ServoSetpoint
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import Fault
 from hil.fakes.world import World
+from hil.faults.fault import Fault
+from hil.faults.plan import FaultPlan
 from tests.to_the_bit import bits
 
 LATER = (

@@ -8,11 +8,11 @@ from still_plant import StillPlant
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
-from hil.fakes.fault import parse_fault
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 
 class SteeringPlant(StillPlant):

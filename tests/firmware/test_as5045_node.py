@@ -12,12 +12,12 @@ from node_on_host import HostBoard
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.core.signals import WHEELS, Status
 from hil.drivers.encoders import As5045Encoders, decode_word
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.encoders import EncoderNode
 from hil.fakes.encoders.as5045_chip import OCF, chip, with_parity
 from hil.fakes.encoders.as5045_chip import word as word_of
 from hil.fakes.world import Scheduled, VirtualClock, World
+from hil.faults.plan import FaultPlan
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 NAMES = EncodersConfig().signals
@@ -82,15 +82,12 @@ def test_frames_are_the_bytes_that_cantools_makes(library):
 
 
 def test_the_emulated_node_sends_the_same_bytes(library):
-    reported = []
-
-    class Wire:
-        def transmit(self, frame_id, data, t_ns):
-            reported.append((frame_id, data))
-
     world = World(Turning(), seed=3, faults=FaultPlan([]))
-    EncoderNode(world, Wire())
+    channel = CanChannel(world)
+    queue = channel.listen()
+    EncoderNode(world, channel)
     VirtualClock(world).sleep_until_ns(2_000_000_000)
+    reported = [(frame.arbitration_id, frame.data) for _, frame in queue]
     status = HostBoard(library).next_set()[2]
     assert [frame for frame in reported if frame[0] == 418] == [status] * 2
     pairs = [reported[i : i + 2] for i, frame in enumerate(reported) if frame[0] == 416]

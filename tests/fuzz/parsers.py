@@ -21,12 +21,12 @@ from hil.drivers.mocap.natnet_packets import MalformedPacket, parse_server_info,
 from hil.drivers.mocap.natnet_session import parse_models
 from hil.drivers.servos.packets import GroupRead, find_statuses
 from hil.drivers.tracker.emulated_pipeline import FeedDevice
-from hil.fakes.fault import parse_fault
 from hil.fakes.imu.bno055_uart import RequestParser
 from hil.fakes.servos import protocol
 from hil.fan_daemon.client import understood
 from hil.fan_daemon.server import _answered
 from hil.fan_daemon.spec import Spec
+from hil.faults.fault import parse_fault
 from hil.links.dronecan.frames import StatusReader, command_of
 from hil.links.vesc import frames as vesc
 from hil.live.velocity_input import parse_command

@@ -11,10 +11,12 @@ from turning_plant import TurningPlant
 
 from hil.config.imu import Bno055Config
 from hil.drivers.imu import Bno055Imu
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
+from hil.fakes.imu.bno055_faults import SUPPORTED_FAULTS
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.messages import STREAM_FAULTS, Messages, declared
+from hil.faults.plan import FaultPlan
 
 _LINES = {}
 
@@ -32,6 +34,12 @@ class DirectPort:
         if name not in _LINES:
             raise serial.SerialException(2, "No such file or directory")
         self.name, (self.world, _, self.written) = name, _LINES[name]
+        self._messages = Messages(
+            self.world.faults,
+            ("imu",),
+            self.world.rng("line.imu"),
+            STREAM_FAULTS.keys() - SUPPORTED_FAULTS.keys(),
+        )
         self._coming = deque()
         self._free_ns = 0
 
@@ -50,7 +58,8 @@ class DirectPort:
         self.world.advance_to(self.world.now_ns + self._wire_ns(len(data)))
         self.world.sync_plant()
         for reply in _LINES[self.name][1].receive(bytes(data), self.world.now_ns, self.baudrate):
-            self.push(reply.ready_ns, reply.data)
+            for message in self._messages.received(reply.data, self.world.now_ns):
+                self.push(reply.ready_ns, message)
         return len(data)
 
     def push(self, ready_ns, data):
@@ -97,6 +106,7 @@ def imu_bench():
             bench_remap=(config.axis_map, config.axis_sign),
             **chip_options,
         )
+        plan.declare("imu", declared(SUPPORTED_FAULTS, {}, STREAM_FAULTS))
         plan.check()
         written = []
         _LINES["imu"] = (world, chip, written)

@@ -9,10 +9,10 @@ from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.driver import MicrostrainImu
 from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
 from hil.devices.imu.microstrain.emulated_sensing import MicrostrainTruthOptions
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 IDEAL = MicrostrainTruthOptions(
     gyro_noise_rad_s=0,

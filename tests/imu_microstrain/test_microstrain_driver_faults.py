@@ -11,8 +11,8 @@ from hil.core.signals import Status
 from hil.devices.imu.microstrain import mip_fields as f
 from hil.devices.imu.microstrain.emulated_commands import Settings
 from hil.devices.imu.microstrain.mip_packets import Field, cut, encode
-from hil.fakes.fault import parse_fault
 from hil.fakes.serial_chip import Reply
+from hil.faults.fault import parse_fault
 
 
 def kinds(samples):

@@ -12,11 +12,11 @@ from still_plant import StillPlant
 from hil.config.mocap import MocapConfig
 from hil.core.clock import MonotonicClock
 from hil.drivers.mocap import NatNetMocap
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.mocap import STILL, NatNetServer, NatNetTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 
 class Climber(StillPlant):

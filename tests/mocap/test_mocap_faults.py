@@ -6,8 +6,8 @@ from following import kinds
 
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.fakes.fault import parse_fault
 from hil.fakes.mocap import MocapTruthOptions
+from hil.faults.fault import parse_fault
 
 
 @pytest.mark.parametrize("fault", ["off@1", "drop@1,probability=1"])

@@ -16,12 +16,12 @@ from pathlib import Path
 from run_python_can import Still
 
 from hil.core.clock import MonotonicClock
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
+from hil.faults.plan import FaultPlan
 
 MODULES = (
     "test",

@@ -11,11 +11,11 @@ from hil.controller import make_controller
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import compose, se2_exp
 from hil.core.signals import RobotState, Stamp, WheelMeasurement
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import JointCommand
-from hil.fakes.fault import make_fault
 from hil.fakes.plant import WallRobot, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
+from hil.faults.fault import make_fault
+from hil.faults.plan import FaultPlan
 from hil.robot.kinematics import WheelGeometry, forward, inverse
 from hil.robot.trajectories import line
 

@@ -19,11 +19,11 @@ from plant_driving import (
 
 from hil.config.robot import RobotConfig
 from hil.core.errors import UsageError
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import JointCommand, Plant
-from hil.fakes.fault import make_fault
 from hil.fakes.plant import Patch, Surface, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
+from hil.faults.fault import make_fault
+from hil.faults.plan import FaultPlan
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import circle, line
 from tests.selected import every

@@ -7,11 +7,11 @@ import pytest
 from plant_driving import FLOOR, MS_NS, build, drive, release, settle, wait
 
 from hil.core.errors import UsageError
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import JointCommand
-from hil.fakes.fault import make_fault
 from hil.fakes.plant import Patch
 from hil.fakes.plant.step_kernel import advance
+from hil.faults.fault import make_fault
+from hil.faults.plan import FaultPlan
 from tests.selected import every
 
 

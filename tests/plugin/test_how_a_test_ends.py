@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.bench.hold.result import Held
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 from hil.pytest_plugin import test_outcome
 
 pytest_plugins = ["pytester"]

@@ -9,7 +9,7 @@ from hil.bench.hold.result import Held
 from hil.cli import main
 from hil.core.clock import NS_PER_S, MonotonicClock
 from hil.core.errors import Aborted, SafetyStop
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.final_hold import HoldRecord

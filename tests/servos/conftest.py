@@ -7,11 +7,11 @@ from servo_wire import JointPlant, make_wire
 
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import DynamixelServos
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 
 @pytest.fixture

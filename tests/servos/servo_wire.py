@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import JointCommand, Plant, PlantState
-from hil.fakes.fault import parse_fault
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 STEP_NS = 1_000_000
 TAU_S = 0.072 / math.log(9.0)

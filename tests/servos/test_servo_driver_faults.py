@@ -8,7 +8,7 @@ from servo_wire import Wire
 
 from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 from tests.selected import every
 
 
@@ -181,6 +181,26 @@ def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     age_s = (bench.clock.now_ns() - last.stamp.t_ns) * 1e-9
     true = bench.plant.position + start - age_s * bench.plant.velocity
     np.testing.assert_allclose(last.position_rad, true, atol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["drop", "truncate"])
+def test_a_probability_is_that_of_a_whole_reply(servo_bench, kind):
+    """Of one packet by all servos, or of eight: a fifth of the reads, as the page on faults says."""
+    for fast in ("auto", False):
+        bench = servo_bench(
+            f"servos:{kind}@1,probability=0.2", config={"fast_sync_read": fast, "fail_after_s": 60.0}
+        )
+        bench.driver.enable()
+        hit = [not s.ok for s in between(cycles(bench, 6.1), 1.0, 6.1)]
+        assert len(hit) > 490
+        assert np.mean(hit) == pytest.approx(0.2, abs=0.05), fast
+        bench.line.close()
+
+
+def test_replies_in_pieces_are_put_together(servo_bench):
+    bench = servo_bench("servos:pieces@1,size=16,gap_s=0.0001")
+    bench.driver.enable()
+    assert np.mean([s.ok for s in cycles(bench, 4)]) > 0.99
 
 
 def test_a_pulled_adapter_and_its_return(servo_bench):

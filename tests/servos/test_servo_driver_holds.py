@@ -6,7 +6,7 @@ from servo_cycles import ROLLING, SECOND, STILL, cycles
 
 from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.core.signals import ServoSetpoint
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 
 
 def test_servos_that_fall_silent_for_good_while_torque_comes_on_are_reported(servo_bench):
@@ -36,9 +36,9 @@ def test_enabling_needs_all_eight(servo_bench):
 def test_torque_that_does_not_go_off_is_reported(servo_bench):
     bench = servo_bench()
     said = set()
-    for _ in range(20):
+    for _ in range(40):
         bench.driver.enable()
-        bench.world.faults.add(parse_fault("servos:drop,probability=0.6"))
+        bench.world.faults.add(parse_fault("servos:corrupt,probability=0.6,direction=both"))
         try:
             bench.driver.release()
         except DeviceError as error:

@@ -8,7 +8,7 @@ import pytest
 from servo_cycles import ROLLING, cycles
 
 from hil.core.signals import SERVOS, Status
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 
 LONG = {"fail_after_s": 60.0}
 SECOND = 1_000_000_000

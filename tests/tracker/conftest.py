@@ -8,10 +8,10 @@ from travelling_plant import TravellingPlant
 
 from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.tracker import IDEAL, T265
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
 from hil.drivers.tracker import T265Tracker
-from hil.fakes.fault import parse_fault
 from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS
+from hil.faults.fault import parse_fault
 
 
 def test_a_jump_is_marked_until_the_new_place_is_consistent(tracker_bench, follow):

@@ -13,9 +13,9 @@ from hil.devices.tracker.mavlink.driver import MavlinkTracker
 from hil.devices.tracker.mavlink.emulated_computer import IDEAL, VisualInertialComputer
 from hil.devices.tracker.mavlink.emulated_links import ComputerLink
 from hil.devices.tracker.mavlink.transport_interface import Arrival, Link
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.world import VirtualClock, World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 
 NAN = math.nan
 

@@ -10,7 +10,7 @@ from hil.core.errors import DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
 from hil.devices.tracker.mavlink.emulated_computer import IDEAL
 from hil.devices.tracker.mavlink.emulated_faults import SUPPORTED_FAULTS
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from hil.core.clock import MonotonicClock
 from hil.core.errors import FaultNotSupportedError, UsageError
-from hil.fakes.active_faults import FaultPlan
-from hil.fakes.fault import parse_fault
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine, decode_at_baud, find_line
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
 from tests.still_plant import StillPlant
 
 
@@ -174,11 +174,21 @@ def test_flush_waits_until_the_bytes_have_left(wired):
 
 
 @pytest.mark.parametrize(
-    ("kind", "seen"), [("drop", b""), ("duplicate", b"ABAB" * 2), ("unplug", None), ("baud_mismatch", b"")]
+    ("fault", "heard", "seen"),
+    [
+        ("drop@1+1,probability=1", 1, b""),
+        ("drop@1+1,probability=1,direction=out", 0, b""),
+        ("silent@1+1", 1, b""),
+        ("silent@1+1,direction=out", 0, b""),
+        ("silent@1+1,direction=both", 0, b""),
+        ("duplicate@1+1,probability=1", 1, b"ABAB"),
+        ("duplicate@1+1,probability=1,direction=both", 2, b"ABAB" * 2),
+        ("unplug@1+1", 0, None),
+        ("baud_mismatch@1+1", 1, b""),
+    ],
 )
-def test_wire_faults_act_while_they_are_active(wired, kind, seen):
-    option = ",probability=1" if kind in ("drop", "duplicate") else ""
-    world, chip, port = wired(f"echo:{kind}@1+1{option}")
+def test_wire_faults_act_while_they_are_active_on_their_way(wired, fault, heard, seen):
+    world, chip, port = wired(f"echo:{fault}")
     port.write(b"ab")
     assert port.read(2) == b"AB"
     world.advance_to(1_500_000_000)
@@ -188,7 +198,8 @@ def test_wire_faults_act_while_they_are_active(wired, kind, seen):
     else:
         port.write(b"ab")
         assert port.read(20) == seen
-    if kind == "baud_mismatch":
+    assert len(chip.heard) == 1 + heard
+    if "baud_mismatch" in fault:
         assert chip.heard[-1][2] == 57_600
     world.advance_to(3_000_000_000)
     port.write(b"cd")
@@ -197,7 +208,7 @@ def test_wire_faults_act_while_they_are_active(wired, kind, seen):
 
 @pytest.mark.parametrize("kind", ["corrupt", "truncate"])
 def test_damaged_transfers_differ_from_what_was_sent(wired, kind):
-    _, chip, port = wired(f"echo:{kind},probability=1")
+    _, chip, port = wired(f"echo:{kind},probability=1,direction=both")
     for _ in range(5):
         port.write(b"abcdefgh")
         assert port.read(8) != b"ABCDEFGH"

@@ -20,7 +20,7 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import HilError
 from hil.core.registry import kinds
 from hil.core.signals import ServoSetpoint
-from hil.fakes.fault import parse_fault
+from hil.faults.fault import parse_fault
 
 _WATCH_S, _AT_S = 1.5, 0.5
 _SWING_RAD, _RATE_RAD_S, _PERIOD_S = 0.2, 1.0, 1.0

@@ -20,7 +20,7 @@ from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
 from hil.core.interfaces import HELD_NOTE, Sink
-from hil.fakes.fault import Fault
+from hil.faults.fault import Fault
 from hil.loop.device_set import DeviceSet
 from hil.recording.clocks import ptp_offsets
 from hil.recording.transform_tree import describe_clock

@@ -13,16 +13,16 @@ import can
 
 from hil.config.adhesion import MotorConfig
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
 from hil.fakes.adhesion.fan_physics import Demand, Fan
 from hil.fakes.adhesion.forces_on_robot import Load
 from hil.fakes.body_interface import HoldingForces
-from hil.fakes.can_channel import WIRE_FAULTS, CanChannel, CanFrame
+from hil.fakes.can_channel import CanChannel, CanFrame
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.fault import PERIODIC, STRIKES, Supported
 from hil.fakes.initial_support import InitialSupport
 from hil.fakes.world import NEVER_NS, Scheduled, World
+from hil.faults.fault import Supported
+from hil.faults.plan import DeviceFaults
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -30,17 +30,13 @@ if TYPE_CHECKING:
 FAN_FAULTS: Supported = {
     "off": (),
     "stuck": (),
-    "garbage": (),
     "wrong": ("factor",),
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
-    "corrupt": STRIKES,
     "brownout": (),
     "reset": (),
     "jump": ("speed_rpm",),
     "adhesion_loss": ("factor", "over_s"),
-    **WIRE_FAULTS,
 }
 _TICK_NS, _QUICK_NS = 20_000_000, 5_000_000
 _BOOT_NS = 500_000_000
@@ -91,7 +87,7 @@ class MotorNode(Scheduled):
         stream = f"{name}.{motor}" if motor else name
         self._rng = world.rng(stream)
         self._faults = DeviceFaults(world.faults, name, world.rng(f"{stream}.faults"))
-        world.faults.declare(name, self.supported_faults)
+        channel.declare(name, self.supported_faults)
         self._queue = channel.listen(lambda: world.changed(self))
         self._timeout_ns = nanoseconds(options.timeout_s)
         self._commanded_ns = 0
@@ -175,11 +171,6 @@ class MotorNode(Scheduled):
 
     def _asleep(self, t_ns: int) -> bool:
         return self._dead or t_ns < self._booted_ns
-
-    def _silenced(self, t_ns: int) -> bool:
-        """Return whether status messages are suppressed at this time."""
-        fault = self._faults.find("intermittent", t_ns)
-        return self._asleep(t_ns) or (fault is not None and fault.silences(t_ns))
 
     def _next_report(self, rate: int, t_ns: int) -> None:
         """Schedule the next status messages of one of the two rates."""

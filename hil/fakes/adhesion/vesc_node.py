@@ -91,7 +91,7 @@ class VescNode(MotorNode):
     def _report(self, rate: int, t_ns: int) -> None:
         """Send the status messages of one of the two rates and schedule the next ones."""
         self._next_report(rate, t_ns)
-        if self._silenced(t_ns):
+        if self._asleep(t_ns):
             return
         delayed = self._faults.find("delayed", t_ns)
         send_ns = t_ns + (delayed.delay_ns(_DELAY_S) if delayed is not None else 0)
@@ -133,12 +133,4 @@ class VescNode(MotorNode):
             data = self._frozen.setdefault(command, data)
         else:
             self._frozen.clear()
-        if find("garbage", t_ns) is not None:
-            data = self._rng.bytes(len(data))
-        corrupt = find("corrupt", t_ns)
-        if corrupt is not None and corrupt.hits(self._rng):
-            bit = int(self._rng.integers(8 * len(data)))
-            spoilt = bytearray(data)
-            spoilt[bit // 8] ^= 1 << bit % 8
-            data = bytes(spoilt)
         return data

@@ -7,13 +7,11 @@ node samples on its own clock, with jitter, and resets its counters on a restart
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 
 from hil.core.signals import WHEELS
-from hil.fakes.active_faults import Once
-from hil.fakes.can_channel import WIRE_FAULTS, CanChannel
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.encoders.as5045_chip import (
     CHIP_SIZE,
@@ -26,23 +24,24 @@ from hil.fakes.encoders.as5045_chip import (
     with_parity,
     words,
 )
-from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.world import Scheduled, World
+from hil.faults.fault import IN, Fault, Supported
+from hil.faults.messages import Messages
+from hil.faults.plan import Once
 from hil.support.numba_jit import compile_for
 
-AXIS_FAULTS: Supported = {
+_OF_ALL: Supported = {
     "off": (),
     "stuck": (),
     "garbage": ("flags",),
     "wrong": ("offset_rad",),
-    "corrupt": STRIKES,
     "jump": ("angle_rad",),
 }
+AXIS_FAULTS: Supported = {**_OF_ALL, "corrupt": ("probability",)}
 NODE_FAULTS: Supported = {
-    **AXIS_FAULTS,
+    **_OF_ALL,
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
     "brownout": (),
     "reset": (),
 }
@@ -51,15 +50,8 @@ FRAME_IDS = (0x1A0, 0x1A1, 0x1A2)
 _TIME_LSB_NS = 10_000
 _TIME_MASK = 0xFFFFF
 _BOOT_NS = 50_000_000
-_BLOCK = 512
+_BLOCK, _WORD_BITS = 512, 18
 _SLIP_RAD, _DELAY_S = 0.2, 0.05
-
-
-class Wire(Protocol):
-    """CAN bus to which the node sends its frames."""
-
-    def transmit(self, frame_id: int, data: bytes, t_ns: int) -> None:
-        """Send one frame, not before `t_ns`."""
 
 
 class EncoderNode(Scheduled):
@@ -98,7 +90,7 @@ class EncoderNode(Scheduled):
     def __init__(
         self,
         world: World,
-        wire: Wire,
+        wire: CanChannel,
         *,
         name: str = "encoders",
         rate_hz: float = 200.0,
@@ -126,11 +118,12 @@ class EncoderNode(Scheduled):
         self._jitter_ns = 1e9 * jitter_s
         self._noise, self._late, self._row = np.zeros((1, 5)), [0.0], 0
         compile_for(words, self._chips, 0.0, 0.0, 0.0, 0.0, self._noise, 0, 0)
+        self._words = tuple(Messages(world.faults, (a,), self._rng, ("corrupt",)) for a in self._axes)
         self._once = Once()
         self._frozen: dict[str, int] = {}
         self._dead = self._first_set = False
         self._boot(0)
-        world.faults.declare(name, {**NODE_FAULTS, **WIRE_FAULTS})
+        wire.declare(name, NODE_FAULTS, ways=IN)
         for axis in self._axes:
             world.faults.declare(axis, AXIS_FAULTS)
         self._grid_ns = self._due_ns = int(self._rng.integers(0, self._period_ns))
@@ -209,24 +202,22 @@ class EncoderNode(Scheduled):
         reset = self._once.first_activation("reset", find(self.name, "reset", t_ns))
         if reset is not None:
             self.reset(reset.start_ns)
-        if self._dead or t_ns < self._boot_ns:
-            return True
-        fault = find(self.name, "intermittent", t_ns)
-        return fault is not None and fault.silences(t_ns)
+        return self._dead or t_ns < self._boot_ns
 
     def _spoil(self, axis: int, word: int, t_ns: int) -> int:
         """Apply the faults of an axis and of the whole device to the word of that axis.
 
         Options: `wrong,offset_rad=` while active; `jump,angle_rad=` from its start on; `corrupt,
-        probability=` flips one bit; `off` is a chip without power; `garbage,flags=` sets status bits
-        (magnet faults) instead of random words.
+        probability=` of one axis flips one bit of its word; `off` is a chip without power; `garbage,flags=`
+        sets status bits (magnet faults) instead of random words.
         """
         frozen = self._frozen
         self._frozen = {k: v for k, v in frozen.items() if self._stuck(k, t_ns)}
         for device in (self.name, self._axes[axis]):
             for fault in self._plan.active(device, t_ns):
                 word = self._apply(fault, axis, word)
-        return word
+        sent = self._words[axis].damaged(word.to_bytes(3, "little"), t_ns, bits=_WORD_BITS)
+        return int.from_bytes(sent, "little")
 
     def _stuck(self, key: str, t_ns: int) -> bool:
         return any(self._plan.find(device, "stuck", t_ns) is not None for device in (self.name, key))
@@ -239,11 +230,9 @@ class EncoderNode(Scheduled):
             return self._frozen.setdefault(name, word)
         if kind == "garbage":
             flags = int(fault.option("flags", 0))
-            return with_parity(word | flags & 0x1E) if flags else int(self._rng.integers(0, 1 << 18))
+            return with_parity(word | flags & 0x1E) if flags else int(self._rng.integers(0, 1 << _WORD_BITS))
         if kind == "wrong":
             return _turned(word, fault.option("offset_rad", _SLIP_RAD))
-        if kind == "corrupt" and fault.hits(self._rng):
-            return word ^ 1 << int(self._rng.integers(0, 18))
         if kind == "jump" and self._once.first_activation((name, kind), fault) is not None:
             self._chips[axis * CHIP_SIZE + OFFSET] += fault.option("angle_rad", _SLIP_RAD)
         return word

@@ -7,16 +7,15 @@ from collections.abc import Iterable
 import numpy as np
 
 from hil.core.clock import nanoseconds
-from hil.fakes.active_faults import DeviceFaults, FaultPlan
-from hil.fakes.fault import PERIODIC, Supported
 from hil.fakes.imu import bno055_uart
 from hil.fakes.imu.register_encoding import EMPTY
 from hil.fakes.imu.sensor_physics import Sensed
+from hil.faults.fault import PERIODIC, Supported
+from hil.faults.plan import DeviceFaults, FaultPlan
 
 SUPPORTED_FAULTS: Supported = {
     "off": (),
     "stuck": (),
-    "garbage": (),
     "wrong": ("rate_rad_s",),
     "slow": ("factor", "answer_s"),
     "delayed": ("delay_s",),
@@ -106,13 +105,9 @@ class ImuFaults(InertialFaults):
         return old
 
     def spoil(self, answer: bytes, t_ns: int) -> bytes:
-        """Apply `garbage` and `intermittent` faults to an answer."""
-        if not answer:
-            return answer
-        if self.find("garbage", t_ns) is not None:
-            return self._rng.bytes(len(answer))
+        """Apply an `intermittent` fault to an answer."""
         fault = self.find("intermittent", t_ns)
-        if fault is None or not fault.silences(t_ns):
+        if not answer or fault is None or not fault.silences(t_ns):
             return answer
         code = int(fault.option("code", 0))
         return bno055_uart.status(code) if code else b""

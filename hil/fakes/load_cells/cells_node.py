@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig
 from hil.core.clock import NS_PER_S
-from hil.fakes.can_channel import WIRE_FAULTS, CanChannel
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.fault import Supported
 from hil.fakes.load_cells.hx711_cells import CELL_FAULTS, DELAY_S, Cells, LoadCellTruthOptions
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import Scheduled, World
+from hil.faults.fault import IN, Supported
 
 FRAME_ID = 0x1B0
 _MASK = 0xFFFFFF
-_OF_A_LINE: Supported = {k: v for k, v in CELL_FAULTS.items() if k != "corrupt"}
 _CLOCK_ERROR = 200e-6
 
 
@@ -45,7 +44,7 @@ class CellNode(Scheduled):
         self._frame_id = FRAME_ID + config.node_id
         self._period_ns = _period_ns(config.rate_hz)
         self._sequence = 0
-        world.faults.declare(cells.name, {**CELL_FAULTS, **WIRE_FAULTS})
+        channel.declare(cells.name, CELL_FAULTS, ways=IN)
         self._due_ns = int(world.rng(f"{cells.name}.phase").integers(1, self._period_ns))
         world.add(self)
 
@@ -82,7 +81,8 @@ class CellLine(SerialChip):
     """
 
     Options = LoadCellTruthOptions
-    supported_faults: Supported = _OF_A_LINE
+    supported_faults: Supported = CELL_FAULTS
+    ways = IN
 
     @classmethod
     def build(cls, request: EmulationRequest) -> CellLine:

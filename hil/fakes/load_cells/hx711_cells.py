@@ -8,9 +8,9 @@ from typing import Annotated
 from hil.config.load_cells import LoadCellsConfig
 from hil.config.values import Within
 from hil.core.clock import NS_PER_S
-from hil.fakes.active_faults import DeviceFaults
-from hil.fakes.fault import PERIODIC, STRIKES, Supported
 from hil.fakes.world import World
+from hil.faults.fault import Supported
+from hil.faults.plan import DeviceFaults
 
 CELL_FAULTS: Supported = {
     "off": (),
@@ -19,11 +19,9 @@ CELL_FAULTS: Supported = {
     "wrong": ("factor", "drift_n_s"),
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
     "brownout": (),
     "reset": (),
     "jump": ("force_n",),
-    "corrupt": STRIKES,
 }
 COUNTS = 1 << 23
 DELAY_S = 0.1
@@ -90,8 +88,7 @@ class Cells:
         was_dead, self._dead = self._dead, any(self.faults.find(k, t_ns) for k in ("off", "brownout"))
         if (was_dead and not self._dead) or self.faults.first_activation("reset", t_ns):
             self.booted_ns = t_ns + _BOOT_NS
-        fault = self.faults.find("intermittent", t_ns)
-        return self._dead or t_ns < self.booted_ns or (fault is not None and fault.silences(t_ns))
+        return self._dead or t_ns < self.booted_ns
 
     def counts(self, t_ns: int) -> tuple[int, ...]:
         """Return the counts of one conversion of both cells."""
@@ -132,7 +129,4 @@ class Cells:
             self._held = counts = self._held or counts
         if self.faults.find("garbage", t_ns) is not None:
             counts = tuple(int(v) for v in self._rng.integers(-COUNTS, COUNTS, 2))
-        corrupt = self.faults.find("corrupt", t_ns)
-        if corrupt is not None and corrupt.hits(self._rng):
-            counts = (counts[0] ^ 1 << int(self._rng.integers(0, 23)), counts[1])
         return counts

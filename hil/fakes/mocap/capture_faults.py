@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.fakes.active_faults import DeviceFaults, FaultPlan
-from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.mocap.camera_view import SeenBody
+from hil.faults.fault import IN, PERIODIC, Fault, Supported
+from hil.faults.messages import FRAME_FAULTS, Messages, declared
+from hil.faults.plan import DeviceFaults, FaultPlan
 
-SUPPORTED_FAULTS: Supported = {
+_OWN: Supported = {
     "off": (),
     "stuck": (),
     "garbage": ("nan", "packets"),
@@ -16,14 +17,11 @@ SUPPORTED_FAULTS: Supported = {
     "slow": ("factor",),
     "delayed": ("delay_s",),
     "intermittent": (*PERIODIC, "occlude"),
-    "drop": STRIKES,
-    "corrupt": STRIKES,
-    "truncate": STRIKES,
-    "duplicate": STRIKES,
     "unplug": (),
     "jump": (),
     "reset": (),
 }
+SUPPORTED_FAULTS = declared(_OWN, {}, FRAME_FAULTS)
 
 _OFFSET_M = 0.1
 
@@ -35,14 +33,14 @@ class MocapFaults(DeviceFaults):
 
     Options: `wrong,offset_m=` along x; `jump` exchanges the two bodies; `garbage` makes random poses,
     with `nan=1` NaN, with `packets=1` random packets; `slow,factor=`; `delayed,delay_s=`;
-    `intermittent,period_s=,duty=` is silence, with `occlude=1` a hidden body; `drop`, `corrupt`,
-    `truncate` and `duplicate` with `probability=`. `off` and `reset` restart the server, `unplug` is
-    the network cable.
+    `intermittent,period_s=,duty=` is silence, with `occlude=1` a hidden body. `off` and `reset` restart the
+    server, `unplug` is the network cable.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         super().__init__(plan, name, rng)
         self._frozen: Bodies | None = None
+        self._messages = Messages(plan, (name,), rng, FRAME_FAULTS.keys() - _OWN.keys())
         plan.declare(name, SUPPORTED_FAULTS)
 
     def cut_off(self, t_ns: int) -> bool:
@@ -77,14 +75,12 @@ class MocapFaults(DeviceFaults):
         self._frozen = self._frozen or (other, body)
         return self._frozen
 
-    def spoil(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
+    def received(self, packet: bytes, t_ns: int, way: str = IN) -> tuple[bytes, ...]:
         """Return the packets received for one sent: none, intact or damaged, once or twice."""
-        if self._hit("drop", t_ns):
-            return ()
-        garbage = self.find("garbage", t_ns)
+        garbage = self.find("garbage", t_ns) if way == IN else None
         if garbage is not None and garbage.option("packets", 0.0):
             packet = self._rng.bytes(len(packet))
-        return self.damaged(packet, t_ns)
+        return self._messages.received(packet, t_ns, way)
 
     def _garbage(self, body: SeenBody, fault: Fault) -> SeenBody:
         bits = self._rng.integers(0, 256, 28, dtype=np.uint8)

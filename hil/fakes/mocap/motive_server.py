@@ -20,6 +20,7 @@ from hil.fakes.mocap.capture_faults import SUPPORTED_FAULTS, MocapFaults
 from hil.fakes.mocap.capture_truth import MocapTruthOptions
 from hil.fakes.mocap.virtual_network import Address, PacketNetwork, WorldNetwork, WorldPort
 from hil.fakes.world import Scheduled, World
+from hil.faults.fault import OUT
 
 __all__ = ["SUPPORTED_FAULTS", "NatNetServer"]
 
@@ -176,9 +177,13 @@ class NatNetServer(Scheduled):
         self._stream(ready_ns if ready_ns > self._arrived_ns else self._arrived_ns, t_ns)
 
     def receive(self, data: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> None:
-        """Answer one request."""
+        """Answer one request, if the network lets it through."""
         if self._faults.cut_off(t_ns) or t_ns < self._boot_ns:
             return
+        for packet in (data,) if self._faults.plan.empty else self._faults.received(data, t_ns, OUT):
+            self._obey(packet, client, outlet, t_ns)
+
+    def _obey(self, data: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> None:
         if len(data) < _HEAD.size:
             self.malformed += 1
             return
@@ -238,7 +243,7 @@ class NatNetServer(Scheduled):
         if faults.plan.empty:
             outlet.deliver(ready_ns, packet, destination)
         elif not faults.cut_off(t_ns):
-            for data in faults.spoil(packet, t_ns):
+            for data in faults.received(packet, t_ns):
                 outlet.deliver(ready_ns + faults.lateness_ns(t_ns), data, destination)
 
     def _answer(self, kind: int, payload: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> bytes:

@@ -14,12 +14,12 @@ import numpy as np
 from hil.config.robot import RobotConfig
 from hil.config.servo_models import ServoModel
 from hil.core.geometry import ArrayLike
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.mujoco_plant.contact import CONTACTS, ContactSetting
 from hil.fakes.mujoco_plant.model import build_model
 from hil.fakes.mujoco_plant.robot import MujocoRobot
 from hil.fakes.plant.robot import true_parameters
 from hil.fakes.plant.surfaces import Surface, find_surface
+from hil.faults.plan import FaultPlan
 
 
 def make_mujoco_plant(

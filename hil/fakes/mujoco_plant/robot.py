@@ -16,7 +16,6 @@ from hil.core.errors import ConfigError, DeviceError
 from hil.core.geometry import Array, ArrayLike
 from hil.core.named_records import Records
 from hil.core.signals import WHEELS
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.mujoco_plant import step_hooks as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
 from hil.fakes.mujoco_plant.mjcf import JOINTS, load_mujoco
@@ -27,6 +26,7 @@ from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants, make_patches
 from hil.fakes.plant.step_kernel import look_from_origin
 from hil.fakes.plant.surfaces import Patch
+from hil.faults.plan import FaultPlan
 from hil.support.numba_jit import compile_for
 
 _SETTLE_S = 0.4

@@ -15,10 +15,10 @@ import numpy as np
 from hil.core.errors import UsageError
 from hil.core.geometry import Array, ArrayLike
 from hil.core.named_records import Records
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import BodyMotion, HoldingForces, JointCommand, Plant, PlantState
 from hil.fakes.plant.named_numbers import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_PWM, MODE_VELOCITY
 from hil.fakes.plant.parameters import TrueParameters
+from hil.faults.plan import FaultPlan
 
 _MODES = {
     "off": MODE_OFF,

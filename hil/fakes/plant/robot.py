@@ -12,12 +12,12 @@ from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array, ArrayLike
 from hil.core.named_records import Records, filled
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.plant.common_body import SteppedBody, checked_pose
 from hil.fakes.plant.named_numbers import CONSTANTS, PATCH, ROBOT
 from hil.fakes.plant.parameters import TrueParameters, draw, nominal_parameters
 from hil.fakes.plant.step_kernel import advance
 from hil.fakes.plant.surfaces import Patch, Surface, find_surface
+from hil.faults.plan import FaultPlan
 
 GRAVITY_M_S2 = 9.81
 FALL_SLIDE_M = 0.05

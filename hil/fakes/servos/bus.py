@@ -115,7 +115,11 @@ class ServoBus(SerialChip, Scheduled):
             self._baud = baud
         first_ns = t_ns - (len(data) - 1) * 10_000_000_000 // baud if data else t_ns
         instructions = self._parser.feed(data, first_ns, t_ns)
-        return [reply for instruction in instructions for reply in self._execute(instruction, t_ns)]
+        return [
+            reply._replace(goes_on=number > 0)
+            for instruction in instructions
+            for number, reply in enumerate(self._execute(instruction, t_ns))
+        ]
 
     def _listeners(self, t_ns: int) -> list[Servo]:
         """Servos that receive data now: connected, powered, booted and at the client's baud rate."""
@@ -175,10 +179,9 @@ class ServoBus(SerialChip, Scheduled):
         ready_ns = t_ns + self._processing_ns + servo.delay_ns
         if self._faults.plan.empty:
             return [Reply(ready_ns, data)]
-        if self._faults.silent(servo.joint, t_ns):
-            return []
         late_ns = self._faults.late_ns(servo.joint, t_ns)
-        return [Reply(ready_ns + late_ns, self._faults.spoil(servo.joint, data, t_ns))]
+        heard = self._faults.replies[servo.joint].received(data, t_ns)
+        return [Reply(ready_ns + late_ns, one) for one in heard]
 
     def _roll_call(self, listeners: list[Servo], t_ns: int) -> list[Reply]:
         slot_ns = round(self.options.ping_slot_s * 1e9)
@@ -225,7 +228,7 @@ class ServoBus(SerialChip, Scheduled):
         """Execute a fast sync or bulk read: one packet that the servos send together."""
         able = [s for s in listeners if s.reads_fast]
         if not self._faults.plan.empty:
-            able = [s for s in able if not self._faults.silent(s.joint, t_ns)]
+            able = [s for s in able if self._faults.replies[s.joint].copies(t_ns)]
         by_id = {s.id: s for s in able}
         parts, places = [], []
         for place, (servo_id, address, length) in enumerate(wanted):
@@ -250,20 +253,26 @@ class ServoBus(SerialChip, Scheduled):
                 protocol.mixed((piece, piece)) if ids.count(servo.id) > 1 else piece
                 for piece, (_, servo) in zip(pieces, places, strict=True)
             ]
-        if len(pieces) == len(wanted) and not self._faults.acting(t_ns):
+        if len(pieces) == len(wanted) and self._faults.plan.empty:
             return [Reply(ready_ns, b"".join(pieces))]
         return self._spaced(pieces, places, wanted, ready_ns, t_ns)
 
     def _spaced(
         self, pieces: list[bytes], places: list[tuple[int, Servo]], wanted: Wanted, ready_ns: int, t_ns: int
     ) -> list[Reply]:
-        """Pieces of a fast reply with gaps for missing servos, each with its faults."""
+        """Parts of a fast reply, with gaps for servos that are missing or late, each with its faults."""
         byte_ns = 10_000_000_000 // self._baud
-        replies, next_place = [], 0
+        replies: list[Reply] = []
+        next_place = 0
         for piece, (place, servo) in zip(pieces, places, strict=True):
-            ready_ns += sum((wanted[k][2] + 4) * byte_ns for k in range(next_place, place))
-            ready_ns += self._faults.late_ns(servo.joint, t_ns)
-            replies.append(Reply(ready_ns, self._faults.spoil(servo.joint, piece, t_ns)))
+            gap_ns = sum((wanted[k][2] + 4) * byte_ns for k in range(next_place, place))
+            gap_ns += self._faults.late_ns(servo.joint, t_ns)
+            ready_ns += gap_ns
+            data = self._faults.replies[servo.joint].damaged(piece, t_ns)
+            if replies and not gap_ns:
+                replies[-1] = replies[-1]._replace(data=replies[-1].data + data)
+            else:
+                replies.append(Reply(ready_ns, data))
             ready_ns += len(piece) * byte_ns
             next_place = place + 1
         return replies

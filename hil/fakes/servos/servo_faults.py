@@ -1,4 +1,4 @@
-"""Faults inside emulated servos; the serial line adds those of the wire.
+"""Faults inside emulated servos; the serial line adds those of the bus.
 
 Names: the bus (`servos`), a servo by joint (`servo.drive_FL`) or by ID (`servo.3`).
 """
@@ -12,23 +12,29 @@ import numpy as np
 from hil.config.servo_models import ServoModel
 from hil.core.clock import nanoseconds
 from hil.core.signals import SERVOS
-from hil.fakes.active_faults import FaultPlan, Once
-from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.faults.fault import PERIODIC, Fault, Supported
+from hil.faults.messages import Messages
+from hil.faults.plan import FaultPlan, Once
 
 BUS_FAULTS: Supported = {
     "off": (),
     "stuck": (),
-    "garbage": (),
     "wrong": ("angle_rad", "share"),
     "slow": ("answer_s",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
     "reset": (),
     "brownout": (),
     "jump": ("angle_rad",),
 }
-_LINE_ONLY: Supported = {"drop": STRIKES, "corrupt": STRIKES}
-SERVO_FAULTS: Supported = {**BUS_FAULTS, **_LINE_ONLY}
+_OF_ONE: Supported = {
+    "drop": ("probability",),
+    "corrupt": ("probability",),
+    "garbage": (),
+    "intermittent": PERIODIC,
+    "silent": (),
+}
+"""What may become of the replies of a single servo; the line does it to those of the bus."""
+SERVO_FAULTS: Supported = {**BUS_FAULTS, **_OF_ONE}
 
 _WRONG_RAD, _JUMP_RAD = 0.1, 0.5
 _SLOW_S = 0.002
@@ -41,11 +47,11 @@ class ServoFaults:
 
     Options: `wrong,share=` is the share of the servo's measured rotation that the wheel turns (its hub
     slips), else `wrong,angle_rad=`; `jump,angle_rad=` (once); `slow,answer_s=` answers late;
-    `delayed,delay_s=` shows old measurements; `intermittent,period_s=,duty=` is silent for that part of each
-    period; `drop` and `corrupt` per reply with `probability=`.
+    `delayed,delay_s=` shows old measurements. What becomes of the replies of a single servo: `replies`.
 
     Attributes:
         plan: view of the faults of bus and servos. `plan.empty` equals `none` and is cheaper to read.
+        replies: what becomes of the replies of each servo, by joint.
     """
 
     def __init__(
@@ -56,9 +62,10 @@ class ServoFaults:
         rng: np.random.Generator,
         models: tuple[ServoModel, ...],
     ) -> None:
-        self._rng, self._models = rng, models
+        self._models = models
         self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
         self.plan = plan.of(*chain.from_iterable(self._names))
+        self.replies = tuple(Messages(plan, names[1:], rng, _OF_ONE) for names in self._names)
         self._once = Once()
         self._frozen: dict[int, Measured] = {}
         self._slid: dict[int, tuple[int, float]] = {}
@@ -71,19 +78,11 @@ class ServoFaults:
         """Whether no fault of any servo is planned, nor has been."""
         return self.plan.empty
 
-    def acting(self, t_ns: int) -> bool:
-        """Return whether any fault of bus or servos is active."""
-        return self.plan.acting(t_ns)
-
     def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
-        """Return the active fault of this kind on a servo under any of its names, or None.
-
-        The serial line handles `drop` and `corrupt` of the whole bus.
-        """
+        """Return the active fault of this kind on a servo under any of its names, or None."""
         if not self.plan.has(kind):
             return None
-        names = self._names[joint]
-        for name in names[1:] if kind in _LINE_ONLY else names:
+        for name in self._names[joint]:
             fault = self.plan.find(name, kind, t_ns)
             if fault is not None:
                 return fault
@@ -145,21 +144,3 @@ class ServoFaults:
         """Extra latency of a reply under a `slow` fault."""
         fault = self.find(joint, "slow", t_ns)
         return 0 if fault is None else nanoseconds(fault.option("answer_s", _SLOW_S))
-
-    def silent(self, joint: int, t_ns: int) -> bool:
-        """Return whether this reply is suppressed."""
-        fault = self.find(joint, "intermittent", t_ns)
-        if fault is not None and fault.silences(t_ns):
-            return True
-        fault = self.find(joint, "drop", t_ns)
-        return fault is not None and fault.hits(self._rng)
-
-    def spoil(self, joint: int, reply: bytes, t_ns: int) -> bytes:
-        """Apply `garbage` and `corrupt` faults to a reply."""
-        if self.find(joint, "garbage", t_ns) is not None:
-            return self._rng.bytes(len(reply))
-        fault = self.find(joint, "corrupt", t_ns)
-        if fault is None or not fault.hits(self._rng):
-            return reply
-        place = int(self._rng.integers(len(reply)))
-        return reply[:place] + bytes((reply[place] ^ 1 << int(self._rng.integers(8)),)) + reply[place + 1 :]

@@ -12,14 +12,14 @@ import re
 
 from hil.config.thrust import TeensyConfig
 from hil.core.clock import NS_PER_S
-from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.fault import PERIODIC, Supported
 from hil.fakes.initial_support import InitialSupport, Tether
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.world import World
+from hil.faults.fault import OUT, Supported
+from hil.faults.plan import DeviceFaults
 
 THRUST_FAULTS: Supported = {
     "off": (),
@@ -28,7 +28,6 @@ THRUST_FAULTS: Supported = {
     "wrong": ("factor",),
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
     "brownout": (),
     "reset": (),
     "jump": ("steps",),
@@ -60,6 +59,7 @@ class TeensyChip(SerialChip):
     Options = ThrustTruthOptions
     supported_faults = THRUST_FAULTS
     polls_alone = True
+    ways = OUT
 
     @classmethod
     def build(cls, request: EmulationRequest) -> TeensyChip:
@@ -99,8 +99,7 @@ class TeensyChip(SerialChip):
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
         """Parse lines; at another baud rate they are invalid."""
         self._advance(t_ns)
-        fault = self._faults.find("intermittent", t_ns)
-        if self._dead or (fault is not None and fault.silences(t_ns)):
+        if self._dead:
             return []
         noise = self._faults.find("garbage", t_ns) is not None or abs(baud / self._config.baud - 1.0) > 0.03
         for byte in data:

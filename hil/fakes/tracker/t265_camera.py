@@ -182,7 +182,7 @@ class T265(Scheduled):
         if faults is not None or options.relocalisations_per_s > 0.0:
             self._relocalise(t_ns, dt_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()
-        if lost < options.drop_probability or (faults is not None and faults.silent(t_ns)):
+        if lost < options.drop_probability or (faults is not None and faults.off):
             return
         timestamp_ms = self._epoch_ms + t_ns / _NS_PER_MS / self._stretch
         frame = PoseFrame(number, timestamp_ms, pose, self._confidence(body, t_ns))

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from hil.fakes.active_faults import DeviceFaults, FaultPlan
-from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.tracker.librealsense_frames import PoseFrame
 from hil.fakes.tracker.visual_odometry import CameraPose, Quaternion, Vector
+from hil.faults.fault import Fault, Supported
+from hil.faults.messages import ARRIVAL_FAULTS, Messages
+from hil.faults.plan import DeviceFaults, FaultPlan
 
 SUPPORTED_FAULTS: Supported = {
     "off": (),
@@ -18,12 +19,10 @@ SUPPORTED_FAULTS: Supported = {
     "wrong": ("scale", "drift_x_m_s", "drift_y_m_s", "confidence"),
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
-    "drop": STRIKES,
-    "duplicate": STRIKES,
     "unplug": (),
     "jump": ("distance_m",),
     "reset": (),
+    **ARRIVAL_FAULTS,
 }
 
 _WRONG_SCALE, _JUMP_M = 1.2, 0.1
@@ -37,23 +36,21 @@ class TrackerFaults(DeviceFaults):
     """Faults of the camera.
 
     Options: `wrong,scale=` on every step, `wrong,drift_x_m_s=,drift_y_m_s=` along the wall's axes, or
-    `wrong,confidence=`; `jump,distance_m=` once;
-    `slow,factor=`; `delayed,delay_s=`; `intermittent,period_s=,duty=`; `drop` and `duplicate` with
-    `probability=`; `garbage,nan=1` for poses of NaN instead of random numbers, `garbage,clock=1` for
-    random time stamps. `off` is silence, after which tracking starts anew; `unplug` ends the stream.
+    `wrong,confidence=`; `jump,distance_m=` once; `slow,factor=`; `delayed,delay_s=`; `garbage,nan=1` for
+    poses of NaN instead of random numbers, `garbage,clock=1` for random time stamps. `off` is silence, after
+    which tracking starts anew; `unplug` ends the stream.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         super().__init__(plan, name, rng)
         self._frozen: PoseFrame | None = None
+        self._messages = Messages(plan, (name,), rng, ARRIVAL_FAULTS)
         plan.declare(name, SUPPORTED_FAULTS)
 
-    def silent(self, t_ns: int) -> bool:
-        """Return whether no pose is sent now."""
-        if self._off:
-            return True
-        fault = self.find("intermittent", t_ns)
-        return fault is not None and fault.silences(t_ns)
+    @property
+    def off(self) -> bool:
+        """Whether the camera has no power."""
+        return self._off
 
     def jump_m(self, t_ns: int) -> float:
         """Distance of a `jump` fault at its first query; else 0."""
@@ -70,8 +67,6 @@ class TrackerFaults(DeviceFaults):
 
     def spoil(self, frame: PoseFrame, t_ns: int) -> tuple[PoseFrame, ...]:
         """Return the frames received for one sent: none, intact or altered, once or twice."""
-        if self._hit("drop", t_ns):
-            return ()
         if self.find("stuck", t_ns) is None:
             self._frozen = None
         else:
@@ -83,7 +78,7 @@ class TrackerFaults(DeviceFaults):
         garbage = self.find("garbage", t_ns)
         if garbage is not None:
             frame = self._garbage(frame, garbage)
-        return (frame, frame) if self._hit("duplicate", t_ns) else (frame,)
+        return (frame,) * self._messages.copies(t_ns)
 
     def _garbage(self, frame: PoseFrame, fault: Fault) -> PoseFrame:
         if fault.option("clock", 0.0):

@@ -39,6 +39,8 @@ _LETS_GO = (
     "truncate",
     "garbage",
     "intermittent",
+    "silent",
+    "pieces",
     "slow",
 )
 """Faults of servos that interrupt supply or bus, permanently or for a time, or delay the answers."""

@@ -17,6 +17,7 @@ _OF_ANY: Mapping[str, str] = {
     "drop": _LOST,
     "truncate": _LOST,
     "corrupt": _LOST,
+    "pieces": "the pieces are put together again",
     "slow": "a stream is checked once a second: reported within two seconds in a longer run",
 }
 """Explanation by fault, for device kinds without their own (`DeviceKind.silent_faults`)."""

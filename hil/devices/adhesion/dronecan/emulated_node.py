@@ -124,7 +124,7 @@ class DroneCanNode(MotorNode):
     def _report(self, rate: int, t_ns: int) -> None:
         """`esc.Status` at the first rate, `NodeStatus` at the second."""
         self._next_report(rate, t_ns)
-        if self._silenced(t_ns):
+        if self._asleep(t_ns):
             return
         payload = self._node_status(t_ns) if rate else self._status(t_ns)
         transfer_id = self._sent[_name_of(payload)] % 32
@@ -132,7 +132,7 @@ class DroneCanNode(MotorNode):
         delayed = self._faults.find("delayed", t_ns)
         send_ns = t_ns + (delayed.delay_ns(_DELAY_S) if delayed is not None else 0)
         frames = frames_of(payload, source=self._node_id, transfer_id=transfer_id, priority=_LOW_PRIORITY)
-        self._put(frames, send_ns, spoilt=not rate)
+        self._put(frames, send_ns)
 
     def _status(self, t_ns: int) -> Any:
         """`esc.Status` of the motor, with the active faults applied."""
@@ -154,16 +154,8 @@ class DroneCanNode(MotorNode):
         status.esc_index = self._index
         return status
 
-    def _put(self, frames: list[tuple[int, bytes]], t_ns: int, *, spoilt: bool = False) -> None:
-        """Send frames; `spoilt` frames (reports) get the damage of active faults."""
-        garbage = spoilt and self._faults.find("garbage", t_ns) is not None
-        corrupt = self._faults.find("corrupt", t_ns) if spoilt else None
+    def _put(self, frames: list[tuple[int, bytes]], t_ns: int) -> None:
         for frame_id, data in frames:
-            if garbage:
-                data = self._rng.bytes(len(data))
-            elif corrupt is not None and corrupt.hits(self._rng):
-                bit = int(self._rng.integers(8 * len(data)))
-                data = bytes(b ^ (1 << bit % 8) * (i == bit // 8) for i, b in enumerate(data))
             self._send(frame_id, data, t_ns)
 
 

@@ -39,6 +39,7 @@ _LOOK_NS = 1_000_000
 _SILENT_NS, _SILENT_PERIODS = 100_000_000, 10
 _LOST_NS, _LOST_PERIODS = 500_000_000, 20
 _NOISE_NS = 200_000_000
+_SPOILT = "packets are spoilt on the way"
 _REPORT_NS = 20_000_000
 _REOPEN_NS = 200_000_000
 _MOST_REJECTED = 3
@@ -192,9 +193,11 @@ class MicrostrainImu(Sensor[ImuSample]):
             elif self._dialogue is not None:
                 self._answered(self._dialogue, packet)
         if parser.rejected > rejected:
-            self._noise_ns, self._trouble = now_ns, "packets are spoilt on the way"
+            self._noise_ns, self._trouble = now_ns, _SPOILT
         elif parser.skipped > skipped and not packets:
-            self._noise_ns, self._trouble = now_ns, "what comes is no MIP packet"
+            if self._trouble != _SPOILT or now_ns - self._noise_ns >= _NOISE_NS:
+                self._trouble = "what comes is no MIP packet"
+            self._noise_ns = now_ns
         spoilt = min(parser.rejected - rejected, _MOST_REJECTED) if self._identity else 0
         return samples + [self._empty(Status.CRC, now_ns) for _ in range(spoilt)]
 

@@ -18,12 +18,12 @@ from hil.devices.imu.microstrain import mip_fields as f
 from hil.devices.imu.microstrain.emulated_commands import Commands, Settings
 from hil.devices.imu.microstrain.emulated_sensing import Fused, MicrostrainTruthOptions, Sensing
 from hil.devices.imu.microstrain.mip_packets import Field, Packet, PacketParser, encode
-from hil.fakes.active_faults import FaultPlan
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.fault import PERIODIC, Supported
 from hil.fakes.imu.bno055_faults import InertialFaults
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, World
+from hil.faults.fault import Supported
+from hil.faults.plan import FaultPlan
 
 __all__ = ["SUPPORTED_FAULTS", "MicrostrainChip"]
 
@@ -31,11 +31,9 @@ __all__ = ["SUPPORTED_FAULTS", "MicrostrainChip"]
 SUPPORTED_FAULTS: Supported = {
     "off": (),
     "stuck": (),
-    "garbage": (),
     "wrong": ("rate_rad_s",),
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
     "brownout": (),
     "reset": (),
     "jump": ("angle_rad",),
@@ -47,7 +45,7 @@ class MicrostrainFaults(InertialFaults):
 
     Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period;
     `delayed,delay_s=` sends data that much later, with their true stamps; `jump,angle_rad=` turns the
-    filter's heading once; `intermittent,period_s=,duty=` is silent for that part of each period.
+    filter's heading once.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
@@ -65,15 +63,6 @@ class MicrostrainFaults(InertialFaults):
             return fused
         x, y, z = fused.rate
         return dataclasses.replace(fused, rate=(x + extra, y + extra, z + extra))
-
-    def spoil(self, data: bytes, t_ns: int) -> bytes:
-        """Bytes on the line with the active faults applied: garbage, a wrong baud rate, silence."""
-        if self.none or not data:
-            return data
-        if self.find("garbage", t_ns) or self.find("baud_mismatch", t_ns):
-            return self._rng.bytes(len(data))
-        fault = self.find("intermittent", t_ns)
-        return b"" if fault is not None and fault.silences(t_ns) else data
 
 
 _BAUD_TOLERANCE = 0.03
@@ -150,8 +139,7 @@ class MicrostrainChip(SerialChip):
             return []
         replies = []
         for packet in self._parser.feed(data, t_ns):
-            answer = self._faults.spoil(self._obey(packet, t_ns), t_ns)
-            if answer:
+            if answer := self._obey(packet, t_ns):
                 replies.append(Reply(t_ns + nanoseconds(self._options.answer_s), answer))
         return replies
 
@@ -167,7 +155,7 @@ class MicrostrainChip(SerialChip):
         self._plan(t_ns)
         if self._power(t_ns) or self.commands.idle:
             return []
-        data = self._faults.spoil(self._measured(tick, t_ns), t_ns)
+        data = self._measured(tick, t_ns)
         ready_ns = t_ns + nanoseconds(self._options.processing_s) + self._faults.lateness_ns(t_ns)
         return [Reply(ready_ns, data)] if data else []
 

@@ -11,8 +11,8 @@ from hil.fakes.adhesion.motor_controller import FAN_FAULTS
 from hil.fakes.adhesion.vesc_node import VescNode
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.fault import Supported
 from hil.fakes.world import World
+from hil.faults.fault import Supported
 
 PROPELLER_FAULTS: Supported = {kind: opts for kind, opts in FAN_FAULTS.items() if kind != "adhesion_loss"}
 

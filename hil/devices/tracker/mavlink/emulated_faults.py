@@ -8,26 +8,24 @@ import math
 import numpy as np
 
 from hil.devices.tracker.mavlink.emulated_odometry import Estimate
-from hil.fakes.active_faults import DeviceFaults, FaultPlan
-from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.tracker.t265_faults import seen_drift_m, seen_scale
+from hil.faults.fault import IN, Fault, Supported
+from hil.faults.messages import FRAME_FAULTS, Messages, declared
+from hil.faults.plan import DeviceFaults, FaultPlan
 
-SUPPORTED_FAULTS: Supported = {
+OWN_FAULTS: Supported = {
     "off": (),
     "stuck": (),
     "garbage": ("nan", "clock", "packets"),
     "wrong": ("scale", "drift_x_m_s", "drift_y_m_s", "quality", "frame"),
     "slow": ("factor",),
     "delayed": ("delay_s",),
-    "intermittent": PERIODIC,
-    "drop": STRIKES,
-    "corrupt": STRIKES,
-    "truncate": STRIKES,
-    "duplicate": STRIKES,
-    "unplug": (),
     "jump": ("distance_m", "announced"),
     "reset": (),
 }
+"""Faults of the computer; a line or a network adds its own."""
+SUPPORTED_FAULTS = declared(OWN_FAULTS, {"unplug": ()}, FRAME_FAULTS)
+"""Faults of a computer behind a network."""
 
 _JUMP_M = 0.1
 _LATEST_US = 1 << 62
@@ -38,22 +36,19 @@ class ComputerFaults(DeviceFaults):
 
     Options: `wrong,scale=` on every step, `wrong,quality=` in percent or `wrong,frame=` with a number of
     MAV_FRAME; `jump,distance_m=` once, with `announced=0` without a new reset count; `slow,factor=`;
-    `delayed,delay_s=`; `intermittent,period_s=,duty=`; `drop`, `corrupt`, `truncate` and `duplicate` with
-    `probability=`; `garbage` makes random poses, with `nan=1` NaN, with `clock=1` random time stamps, with
-    `packets=1` random packets. `off` and `reset` start it again, `unplug` is its cable.
+    `delayed,delay_s=`; `garbage` makes random poses, with `nan=1` NaN, with `clock=1` random time stamps,
+    with `packets=1` random packets. `off` and `reset` start it again, `unplug` is its cable.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         super().__init__(plan, name, rng)
         self._frozen: Estimate | None = None
+        self._messages = Messages(plan, (name,), rng, FRAME_FAULTS.keys() - OWN_FAULTS.keys())
         plan.declare(name, SUPPORTED_FAULTS)
 
     def silent(self, t_ns: int) -> bool:
         """Whether the computer sends nothing now."""
-        if self.find("off", t_ns) is not None:
-            return True
-        fault = self.find("intermittent", t_ns)
-        return fault is not None and fault.silences(t_ns)
+        return self.find("off", t_ns) is not None
 
     def cut_off(self, t_ns: int) -> bool:
         """Whether no packet gets in or out: the cable is unplugged."""
@@ -92,13 +87,9 @@ class ComputerFaults(DeviceFaults):
         garbage = self.find("garbage", t_ns)
         return estimate if garbage is None else self._garbage(estimate, garbage)
 
-    def spoil(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
+    def received(self, packet: bytes, t_ns: int, way: str = IN) -> tuple[bytes, ...]:
         """The datagrams that arrive for one that is sent: none, one or two, perhaps damaged."""
-        if self.none:
-            return (packet,)
-        if self.cut_off(t_ns) or self._hit("drop", t_ns):
-            return ()
-        return self.damaged(packet, t_ns)
+        return () if self.cut_off(t_ns) else self._messages.received(packet, t_ns, way)
 
     def scramble(self, packet: bytes, t_ns: int) -> bytes:
         """A packet as the computer sends it: random bytes under `garbage,packets=1`."""

@@ -12,16 +12,15 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, reason_of
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.emulated_computer import Outlet, VisualInertialComputer
-from hil.devices.tracker.mavlink.emulated_faults import SUPPORTED_FAULTS
+from hil.devices.tracker.mavlink.emulated_faults import OWN_FAULTS
 from hil.devices.tracker.mavlink.transport_interface import Address, Arrival, Link
-from hil.fakes.fault import Supported
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.udp_server import DatagramTransport
 from hil.fakes.world import NEVER_NS
+from hil.faults.fault import OUT, Supported
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 65535
-_OF_THE_LINE = ("drop", "corrupt", "truncate", "duplicate", "unplug")
 _NOISE = 0x55
 _ADDRESS = ("127.0.0.1", 14550)
 
@@ -78,15 +77,15 @@ class MavlinkTransport(DatagramTransport):
         if taken is None:
             return
         data, address = taken
-        if not self._computer.faults.cut_off(t_ns):
-            self._computer.hear(data, t_ns, self._client(address, t_ns))
+        for packet in self._computer.faults.received(data, t_ns, OUT):
+            self._computer.hear(packet, t_ns, self._client(address, t_ns))
 
     def send(self, packet: bytes, client: _Client, t_ns: int) -> None:
         """Send a packet as the network leaves it; what the network refuses is lost."""
         if t_ns - client.heard_ns > _FORGET_NS:
             self._forget(client)
             return
-        for data in self._computer.faults.spoil(packet, t_ns):
+        for data in self._computer.faults.received(packet, t_ns):
             self.transmit(data, client.address)
 
     def endpoint(self) -> dict[str, object]:
@@ -126,9 +125,7 @@ class SerialComputer(SerialChip, Outlet):
 
     def __init__(self, computer: VisualInertialComputer, *, baud: int) -> None:
         self.name = computer.name
-        self.supported_faults: Supported = {
-            kind: options for kind, options in SUPPORTED_FAULTS.items() if kind not in _OF_THE_LINE
-        }
+        self.supported_faults: Supported = OWN_FAULTS
         self._computer, self._baud = computer, baud
         self._baud_matches = True
         self._leaving: list[Reply] = []
@@ -178,8 +175,8 @@ class WorldLink(Link, Outlet):
     def send(self, data: bytes, address: Address) -> None:
         """Send a datagram to the computer."""
         computer = self._computer
-        if not computer.faults.cut_off(computer.now_ns):
-            computer.hear(data, computer.now_ns + self._transit_ns, self)
+        for packet in computer.faults.received(data, computer.now_ns, OUT):
+            computer.hear(packet, computer.now_ns + self._transit_ns, self)
 
     def receive(self) -> Arrival | None:
         """The oldest datagram that has arrived."""
@@ -192,7 +189,7 @@ class WorldLink(Link, Outlet):
 
     def deliver(self, packet: bytes, t_ns: int) -> None:
         """Put a datagram on its way to the driver."""
-        for data in self._computer.faults.spoil(packet, t_ns):
+        for data in self._computer.faults.received(packet, t_ns):
             self._coming.append(Arrival(data, t_ns + self._transit_ns, _ADDRESS))
 
     @property

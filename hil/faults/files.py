@@ -7,7 +7,7 @@ A timeline is a list of tables, seconds counted from the world's start::
     kind = "stuck"
     at_s = 2.0
     duration_s = 3.0          # without it: until the end
-    options = { scale = 2.0 } # numbers, as the device names them
+    options = { scale = 2.0 } # as the device names them
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from hil.core.errors import ConfigError, UsageError
-from hil.fakes.fault import Fault, make_fault, parse_fault
+from hil.faults.fault import Fault, make_fault, parse_fault
 from hil.support.file_reading import read_toml
 
 
@@ -29,7 +29,7 @@ class _Entry(BaseModel):
     kind: str
     at_s: float = 0.0
     duration_s: float | None = None
-    options: dict[str, float] = {}
+    options: dict[str, float | str] = {}
 
 
 class _Timeline(BaseModel):

@@ -1,4 +1,4 @@
-"""One fault of an emulated device: its kind, when it acts, its options, and how it is written.
+"""One fault of a device: its kind, when it acts, its options, and how it is written.
 
 All devices share one vocabulary of faults. A fault spec is written
 `DEVICE:KIND[@START_S[+DURATION_S]][,key=value...]`, for example `imu:stuck@2+3`,
@@ -28,10 +28,12 @@ MEANINGS = {
     "slow": "output at a lower rate, or late answers",
     "delayed": "values of some time ago",
     "intermittent": "silence for a part of every period",
+    "silent": "nothing arrives, while the device goes on",
     "drop": "messages that are lost, at random",
-    "corrupt": "messages with a damaged byte or bit, at random",
+    "corrupt": "messages with one damaged bit, at random",
     "truncate": "messages that end early, at random",
     "duplicate": "messages that come twice, at random",
+    "pieces": "bytes of a message that arrive in pieces, with pauses between them",
     "baud_mismatch": "the line runs at another rate than the host",
     "bus_off": "the CAN controller has left the bus",
     "unplug": "cable or adapter gone; the port fails as a real one does; a T265 comes back only when it is "
@@ -46,7 +48,9 @@ VOCABULARY = tuple(MEANINGS)
 _LARGEST, _BRIEFEST = 1e9, 0.001
 Supported = Mapping[str, tuple[str, ...]]
 """Faults that a device can produce, and the options that each takes."""
-STRIKES, PERIODIC = ("probability",), ("period_s", "duty")
+PERIODIC = ("period_s", "duty")
+IN, OUT, BOTH = WAYS = ("in", "out", "both")
+"""Directions of a wire, seen from the bench: from the device, towards it."""
 FACTOR, PERIOD_S, DUTY, PROBABILITY, DELAY_S = 5.0, 0.5, 0.5, 0.1, 0.1
 """Defaults of options; `docs/faults.md` lists them."""
 _SPEC = re.compile(
@@ -56,21 +60,37 @@ _SPEC = re.compile(
 
 
 class Option(NamedTuple):
-    """One option of a fault: meaning, smallest and largest value, and whether it is an integer."""
+    """One option of a fault: meaning, smallest and largest value, and whether it is an integer.
+
+    With `words` its values are written as one of these words, and kept as the word's index.
+    """
 
     meaning: str
     least: float
     most: float
     whole: bool = False
+    words: tuple[str, ...] = ()
+
+    def value(self, written: float | str) -> float:
+        """Return the value of a written one; raises `ValueError`."""
+        return float(self.words.index(str(written))) if self.words else float(written)
+
+    def text(self, value: float) -> str:
+        """Return how a value is written."""
+        return self.words[int(value)] if self.words else f"{value:g}"
 
     @property
     def range(self) -> str:
         """Range of values, as text."""
+        if self.words:
+            return ", ".join(f"`{word}`" for word in self.words)
         return f"{'whole, ' if self.whole else ''}{self.least:.7g} to {self.most:.7g}"
 
     @property
     def expected(self) -> str:
         """Range of values, as text for an error message."""
+        if self.words:
+            return "one of " + ", ".join(self.words)
         return f"a {'whole ' if self.whole else ''}number from {self.least:.7g} to {self.most:.7g}"
 
     def takes(self, value: float) -> bool:
@@ -91,6 +111,10 @@ OPTIONS = {
         "what the camera calls its poses, 0 failed to 3 high; the poses stay true", 0, 3, True
     ),
     "delay_s": Option("by how much, s", 0, 60),
+    "direction": Option(
+        "of the messages: `in` from the device, as without this option, `out` towards it",
+        *(0, len(WAYS) - 1, True, WAYS),
+    ),
     "distance_m": Option("size of the step, m", -100, 100),
     "duty": Option("part of every period that is silent", 0, 1),
     "drift_x_m_s": Option("motion along wall x that is seen and is none, m/s", -10, 10),
@@ -101,6 +125,7 @@ OPTIONS = {
     "slow:factor": Option("of the output period", 1, 1000),
     "wrong:factor": Option("of what is sent", -10, 10),
     "adhesion_loss:factor": Option("of the fan's force", 0, 1),
+    "gap_s": Option("pause between two pieces, s", 0, 1),
     "flags": Option("status bits of the encoder chip to set, instead of random words", 0, 31, True),
     "force_n": Option("size of the step, N", -10_000, 10_000),
     "frame": Option("MAVLink number of the frame that poses claim", 0, 255, True),
@@ -117,6 +142,7 @@ OPTIONS = {
     "share": Option(
         "of the motor's turns that reach the wheel: its hub slips; `angle_rad` then does nothing", 0.05, 1
     ),
+    "size": Option("mean bytes of a piece", 1, 4096, True),
     "speed_rpm": Option("size of the step of the reported speed, 1/min", -200_000, 200_000),
     "steps": Option("of the throttle's 180 steps, added once", -180, 180, True),
     "scale": Option("factor on every step seen", -10, 10),
@@ -134,7 +160,7 @@ class Fault:
     """One fault on one device, active during [start_ns, end_ns) of world time.
 
     Raises:
-        UsageError: an option outside its range (`hil.fakes.fault`).
+        UsageError: an option outside its range (`hil.faults.fault`).
     """
 
     device: str
@@ -164,6 +190,16 @@ class Fault:
         """Return whether an `intermittent` fault silences the device: the last `duty` of each `period_s`."""
         period_ns = nanoseconds(self.option("period_s", PERIOD_S))
         return (t_ns - self.start_ns) % period_ns >= (1.0 - self.option("duty", DUTY)) * period_ns
+
+    def strikes(self, way: str, default: str = IN) -> bool:
+        """Return whether the fault acts on messages of a way (`IN` or `OUT`) of its wire.
+
+        Args:
+            way: the messages.
+            default: the way on which the fault acts if its `direction` is not given.
+        """
+        direction = WAYS[int(self.option("direction", WAYS.index(default)))]
+        return direction in (way, BOTH)
 
     def hits(self, rng: np.random.Generator) -> bool:
         """Draw whether the fault hits this packet, frame or reply, with its `probability`."""
@@ -202,7 +238,7 @@ def check_kind(what: str, kind: str) -> None:
 
 
 def make_fault(
-    device: str, kind: str, /, *, at: float = 0.0, duration: float | None = None, **options: float
+    device: str, kind: str, /, *, at: float = 0.0, duration: float | None = None, **options: float | str
 ) -> Fault:
     """Make a fault from times in seconds; raises `UsageError` for an impossible time or option.
 
@@ -215,7 +251,18 @@ def make_fault(
             expected=f"a start >= 0 and a duration of at least {_BRIEFEST:g} s, both at most {_LARGEST:g} s",
         )
     start = nanoseconds(at)
-    return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)
+    end = None if duration is None else start + nanoseconds(duration)
+    return Fault(device, kind, start, end, {k: _value(device, kind, k, v) for k, v in options.items()})
+
+
+def _value(device: str, kind: str, key: str, written: float | str) -> float:
+    option = option_of(kind, key)
+    try:
+        return option.value(written)
+    except ValueError:
+        raise UsageError(
+            f"fault {device}:{kind}: {key} is {written!r}", expected=f"{option.expected} ({option.meaning})"
+        ) from None
 
 
 def parse_fault(spec: str) -> Fault:
@@ -230,7 +277,7 @@ def parse_fault(spec: str) -> Fault:
             match["kind"],
             at=float(match["start"] or 0.0),
             duration=float(match["duration"]) if match["duration"] else None,
-            **{key: float(value) for key, value in pairs},
+            **dict(pairs),
         )
     except UsageError:
         raise
@@ -246,4 +293,5 @@ def describe(fault: Fault) -> str:
     text = f"{fault.device}:{fault.kind}@{fault.start_ns / NS_PER_S:g}"
     if fault.end_ns is not None:
         text += f"+{(fault.end_ns - fault.start_ns) / NS_PER_S:g}"
-    return text + "".join(f",{key}={value:g}" for key, value in fault.options.items())
+    written = {key: option_of(fault.kind, key).text(value) for key, value in fault.options.items()}
+    return text + "".join(f",{key}={value}" for key, value in written.items())

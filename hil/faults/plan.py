@@ -1,6 +1,6 @@
-"""The planned faults of a run, and which of them are active on which emulated device at a time.
+"""The planned faults of a run, and which of them are active on which device at a time.
 
-A single fault is a `hil.fakes.fault.Fault`.
+A single fault is a `hil.faults.fault.Fault`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.core.errors import FaultNotSupportedError, UsageError, did_you_mean
 from hil.core.registry import which_device
-from hil.fakes.fault import Fault, Supported, check_kind
+from hil.faults.fault import Fault, Supported, check_kind
 
 
 class FaultPlan:
@@ -131,10 +131,6 @@ class FaultPlan:
         """Return all active faults of a device, in the order in which they were planned."""
         return tuple(f for f in self._faults if f.device == device and f.active(t_ns))
 
-    def acting(self, devices: Container[str], t_ns: int) -> bool:
-        """Return whether any fault is active on any of these devices."""
-        return any(f.device in devices and f.active(t_ns) for f in self._faults)
-
 
 class DeviceFaultView:
     """View of the faults of a plan that concern one device.
@@ -152,10 +148,6 @@ class DeviceFaultView:
     def follow(self, devices: Iterable[str]) -> None:
         """Clear `empty` if faults are planned for one of this view's names."""
         self.empty = self.empty and self._names.isdisjoint(devices)
-
-    def acting(self, t_ns: int) -> bool:
-        """Return whether any fault of this device is active."""
-        return not self.empty and self._plan.acting(self._names, t_ns)
 
 
 class Once:
@@ -221,17 +213,3 @@ class DeviceFaults:
         """Return the extra latency of the device's output under a `delayed` fault, ns."""
         fault = self.find("delayed", t_ns)
         return 0 if fault is None else fault.delay_ns()
-
-    def damaged(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
-        """Return the datagrams received for one sent: intact, with a wrong byte, truncated or duplicated."""
-        if self._hit("corrupt", t_ns):
-            damaged = bytearray(packet)
-            damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))
-            packet = bytes(damaged)
-        if self._hit("truncate", t_ns):
-            packet = packet[: int(self._rng.integers(0, len(packet)))]
-        return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
-
-    def _hit(self, kind: str, t_ns: int) -> bool:
-        fault = self.find(kind, t_ns)
-        return fault is not None and fault.hits(self._rng)
