@@ -9,13 +9,17 @@ LOOK_NS, PER_LOOK = 20_000_000, 4
 THRESHOLD_M = 0.001
 
 
-def looked_at(rng, sigma_m, speed_m_s):
-    """Whether a robot seems to move once it was seen for long enough, and after how many looks that was."""
+def looked_at(rng, sigma_m, speed_m_s, every=1):
+    """Whether a robot seems to move once it was seen for long enough, and after how many looks that was.
+
+    The sensor sends a sample at every `every`th look, four samples if it is one.
+    """
     trail, place = Trail(THRESHOLD_M), np.zeros(3)
     for look in range(100):
         t_ns = look * LOOK_NS
-        for _ in range(PER_LOOK):
-            place = place + np.array([0.0, speed_m_s * LOOK_NS / PER_LOOK / 1e9, 0.0])
+        for _ in range(PER_LOOK if every == 1 else look % every == 0):
+            step_s = LOOK_NS / PER_LOOK / 1e9 if every == 1 else every * LOOK_NS / 1e9
+            place = place + np.array([0.0, speed_m_s * step_s, 0.0])
             trail.add(t_ns, place + rng.normal(0.0, sigma_m, 3))
         trail.forget(t_ns - trail.window_ns)
         if trail.full(t_ns):
@@ -29,6 +33,14 @@ def test_noise_is_no_motion_and_hides_none(sigma_m):
     at_rest = [looked_at(rng, sigma_m, 0.0) for _ in range(1000)]
     assert sum(moves for moves, _ in at_rest) <= 1
     assert all(moves for moves, _ in (looked_at(rng, sigma_m, 0.012) for _ in range(1000)))
+
+
+def test_a_sensor_that_delivers_little_is_waited_for_until_its_noise_is_known():
+    rng = np.random.default_rng(22)
+    at_rest = [looked_at(rng, 0.0005, 0.0, every=2) for _ in range(300)]
+    assert sum(moves for moves, _ in at_rest) <= 1
+    assert max(look for _, look in at_rest) <= 50
+    assert all(looked_at(rng, 0.0005, 0.012, every=2)[0] for _ in range(300))
 
 
 def test_only_a_noisy_sensor_takes_longer():

@@ -18,7 +18,7 @@ import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.frame_jumps import FrameJumps
-from hil.bench.hold.motion_since_stop import JOINTS, WINDOW_NS, MotionSinceStop, Trail
+from hil.bench.hold.motion_since_stop import FEWEST_FOR_NOISE, JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.tilt_check import TiltWatch
 from hil.bench.loop_settings import can_fall
@@ -221,7 +221,10 @@ class HoldMonitor(Sink):
             return self.unseen("no servos are open", wanted=False)
         began_ns = self._clock.now_ns()
         time = HoldCheckDeadline(began_ns, limit_s, strict=strict)
-        trails = {name: Trail(kind.motion_threshold) for name, kind in self._seeing.items()}
+        trails = {
+            name: Trail(kind.motion_threshold, 0 if name == JOINTS else FEWEST_FOR_NOISE)
+            for name, kind in self._seeing.items()
+        }
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
         while True:
@@ -359,9 +362,9 @@ class HoldMonitor(Sink):
         if JOINTS not in seen:
             return "torque is on, but the servos have not been seen at rest for long enough"
         for name in seen:
-            if trails[name].moves():
+            if not self._doubted.get(name) and trails[name].moves():
                 return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
-        if len(seen) == 1 and len(self._seeing) > 1:
+        if len(self._seeing) > 1 and not any(n != JOINTS and not self._doubted.get(n) for n in seen):
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
         if not self._can_fall or places or self._press.feels(hold.t_ns):
             return ""

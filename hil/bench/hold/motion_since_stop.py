@@ -17,7 +17,7 @@ WINDOW_NS = nanoseconds(0.2)
 _LONGEST_NS, _LONGER_NS = nanoseconds(1.0), nanoseconds(0.1)
 _NOISE_TIMES = 4.0
 """Required ratio of the motion threshold to the noise of a change."""
-_FEWEST_FOR_NOISE = 12
+FEWEST_FOR_NOISE = 12
 _SIGMA_OF_MEDIAN = 1.4826
 """Ratio of the standard deviation of Gaussian noise to the median of its magnitude."""
 JOINTS = "servos"
@@ -36,15 +36,16 @@ class Trail:
     Args:
         threshold: largest apparent change within `WINDOW_NS` while the robot rests. A longer window allows
             the same speed.
+        fewest: number of samples in a window; with fewer the noise of the device is not known.
 
     Attributes:
-        window_ns: present length of the window. It grows until the device's noise in it is small compared
-            with a motion.
+        window_ns: present length of the window. It grows until it holds enough samples, and the device's
+            noise in it is small compared with a motion.
     """
 
-    def __init__(self, threshold: float) -> None:
+    def __init__(self, threshold: float, fewest: int = FEWEST_FOR_NOISE) -> None:
         self.window_ns = WINDOW_NS
-        self._threshold = threshold
+        self._threshold, self._fewest = threshold, fewest
         self._seen: deque[tuple[int, Array]] = deque()
 
     def add(self, t_ns: int, place: Array) -> None:
@@ -61,7 +62,9 @@ class Trail:
         if not self._reaches_back(now_ns):
             return False
         sigma = self._sigma()
-        while self.window_ns < _LONGEST_NS and _NOISE_TIMES * self._noise(sigma) > self._most():
+        while self.window_ns < _LONGEST_NS and (
+            self._expected() < self._fewest or _NOISE_TIMES * self._noise(sigma) > self._most()
+        ):
             self.window_ns += _LONGER_NS
         return self._reaches_back(now_ns)
 
@@ -95,7 +98,7 @@ class Trail:
 
         It is computed from second differences, which a steady motion does not change.
         """
-        if len(self._seen) < _FEWEST_FOR_NOISE:
+        if len(self._seen) < FEWEST_FOR_NOISE:
             return 0.0
         places = np.array([place for _, place in self._seen])
         rough = float(np.median(np.abs(np.diff(places, n=2, axis=0))))
@@ -103,9 +106,12 @@ class Trail:
 
     def _noise(self, sigma: float) -> float:
         """Standard deviation of the change in a full window that is due to noise alone."""
+        return sigma * math.sqrt(2.0 / max(1, _quarter(int(self._expected())) - 1))
+
+    def _expected(self) -> float:
+        """Number of samples in a full window."""
         seen = self._seen
-        expected = len(seen) * self.window_ns / max(seen[-1][0] - seen[0][0], 1)
-        return sigma * math.sqrt(2.0 / max(1, _quarter(int(expected)) - 1))
+        return len(seen) * self.window_ns / max(seen[-1][0] - seen[0][0], 1)
 
 
 class MotionSinceStop:
