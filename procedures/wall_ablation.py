@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -39,7 +39,7 @@ Table = dict[str, dict[str, dict[str, float]]]
 class Driven(TypedDict):
     """One line: its errors, from `tracking_errors`, and the message of the check that stopped it."""
 
-    errors: dict[str, float]
+    errors: dict[str, Any]
     stopped: str
 
 
@@ -207,7 +207,7 @@ def drive(bench: Bench, case: str, p: Parameters, *, may_stop: bool) -> Driven:
         if not (may_stop and records and stop.reason in _BY_WHAT_IS_NOT_KNOWN):
             raise
         motion = Motion(tuple(records))
-        error = motion.mocap[-1] - way.sample(way.duration_s).pose_in_wall
+        error = motion.truth[0][-1] - way.sample(way.duration_s).pose_in_wall
         ends = {"end_x": 1e3 * error[0], "end_y": 1e3 * error[1]}
         errors = tracking_errors(motion) | {name: float(end) for name, end in ends.items()}
         return Driven(errors=errors, stopped=str(stop))
@@ -261,10 +261,12 @@ def evaluate(ctx: Context, jobs: Jobs, lines: list[Driven]) -> None:
 def _tabulated(ctx: Context, jobs: Jobs, lines: list[Driven]) -> Table:
     """Leave measurements and table of the driven lines, the first of the jobs; return the table."""
     table: Table = {}
+    doubts: dict[tuple[str, str], str] = {}
     for (setting, case), driven in zip(jobs, lines, strict=False):
         own = driven["errors"]
         if why := driven["stopped"] or unseen(own):
             ctx.note(f"{setting.name}, {case}: {why}")
+        doubts[setting.name, case] = own["doubt"]
         table.setdefault(setting.name, {})[case] = {
             "end_m": 1e-3 * float(np.hypot(own["end_x"], own["end_y"])),
             "rmse_x_m": 1e-3 * own["rmse_x"],
@@ -274,14 +276,15 @@ def _tabulated(ctx: Context, jobs: Jobs, lines: list[Driven]) -> Table:
             "end_y_m": 1e-3 * own["end_y"],
         }
     known = {setting.name for setting, _ in jobs}
-    best = table.get(EVERYTHING if EVERYTHING in known else NOTHING, {})
+    most = EVERYTHING if EVERYTHING in known else NOTHING
     for name, row in table.get(NOTHING, {}).items():
-        ctx.measure(f"{name}.nothing_known.end", 1e3 * row["end_m"])
-    for name, row in best.items():
-        ctx.measure(f"{name}.end", 1e3 * row["end_m"])
+        ctx.measure(f"{name}.nothing_known.end", 1e3 * row["end_m"], doubts[NOTHING, name])
+    for name, row in table.get(most, {}).items():
+        doubt = doubts[most, name]
+        ctx.measure(f"{name}.end", 1e3 * row["end_m"], doubt)
         for axis in "xy":
-            ctx.measure(f"{name}.rmse_{axis}", 1e3 * row[f"rmse_{axis}_m"])
-        ctx.measure(f"{name}.rmse_heading", float(np.degrees(row["rmse_heading_rad"])))
+            ctx.measure(f"{name}.rmse_{axis}", 1e3 * row[f"rmse_{axis}_m"], doubt)
+        ctx.measure(f"{name}.rmse_heading", float(np.degrees(row["rmse_heading_rad"])), doubt)
     rows = [
         [
             name,

@@ -21,7 +21,7 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike
 from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
-from hil.core.signals import CycleRecord, RobotState
+from hil.core.signals import CycleRecord, Event, RobotState
 from hil.fakes.body_interface import PlantState
 from hil.fakes.world import World
 from hil.faults.fault import Fault
@@ -78,6 +78,7 @@ class Bench(HeldDevices):
             None without one.
         lost: errors of devices that ended a run of the bench, as texts.
         faults: faults planned for its emulated devices.
+        seen: events of warning and above since it was opened.
     """
 
     def __init__(
@@ -125,7 +126,7 @@ class Bench(HeldDevices):
         """Let the robot rest, and compare the IMU samples with the record of earlier sessions."""
         motion = self.observe(duration_s, feedback="odometry")
         for changed in self._inertial.rested(motion):
-            self._warn(changed)
+            self._warn(changed, "imu")
         return motion
 
     def measured_pose(self, mocap: Array) -> Array:
@@ -241,10 +242,10 @@ class Bench(HeldDevices):
             return self.start_state(self.measured_pose(seen))
         why = "does not see the robot" if unseen else f"has jumped by {1e3 * moved_m:.0f} mm"
         if self.has("mocap") and not self._capture_is_blind:
-            LOG.warning(
-                "motion capture %s: the robot is taken to stand where the last drive left it. Look at its "
-                "cameras and at mocap.body, or give the start pose",
-                why,
+            self._warn(
+                f"motion capture {why}: the robot is taken to stand where the last drive left it. Look at "
+                "its cameras and at mocap.body, or give the start pose",
+                "mocap",
             )
         return replace(left, t_ns=self.clock.now_ns())
 
@@ -318,6 +319,7 @@ class Bench(HeldDevices):
         """Store the error of a failed device; the error is still raised."""
         if isinstance(error, DeviceError):
             self.lost.append(str(error))
+            self.seen.add(Event(self.clock.now_ns(), "error", error.device, str(error)))
 
     def _until_tilted(self, until: Until) -> Until:
         """Wrap `until` so that the tilt is checked once more as soon as the IMU has measured enough of it."""
@@ -333,10 +335,11 @@ class Bench(HeldDevices):
 
         return watched
 
-    def _warn(self, said: str) -> None:
-        """Log a warning once; does nothing for an empty text."""
+    def _warn(self, said: str, source: str = "bench") -> None:
+        """Log a warning once, also as an event; does nothing for an empty text."""
         if said and said not in self.warnings:
             self.warnings.append(said)
+            self.seen.add(Event(self.clock.now_ns(), "warning", source, said))
             LOG.warning("%s", said)
 
     def make_pipeline(

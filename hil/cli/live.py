@@ -307,6 +307,7 @@ def _report(session: LiveSession, *, as_json: bool) -> None:
 
 def _text(summary: dict[str, Any]) -> str:
     from hil.bench.hold.result import held_in_words
+    from hil.core.event_rows import event_lines
 
     timing = summary["timing"]
     lines = [
@@ -334,5 +335,6 @@ def _text(summary: dict[str, Any]) -> str:
             lines.append(f"{name:10} " + ", ".join(f"{k} {v}" for k, v in summary[name].items() if v != ""))
     if "note" in summary:
         lines.append(summary["note"])
+    lines += [f"seen: {line}" for line in event_lines(summary["events"])]
     lines.append(held_in_words(summary["held"]))
     return "\n".join(lines)

@@ -192,6 +192,7 @@ def _plan_text(plan: dict[str, Any]) -> str:
 def text_of(result: Result) -> str:
     """A result as text: what ended the run, then the measurements, and the verdict."""
     from hil.bench.hold.result import held_in_words
+    from hil.core.event_rows import event_lines
     from hil.procedure.measurements import Verdict
     from hil.report.pages import digits_of
     from hil.support.file_reading import printable
@@ -201,12 +202,18 @@ def text_of(result: Result) -> str:
         if problem is not None:
             lines.append(f"{problem.kind} {problem.place}: {problem.message}")
     measured = [row for row in result.measurements if row["outcome"] != "NOT MEASURED"]
+    doubts: dict[str, int] = {}
     for row in measured:
         digits = digits_of(row)
         value = "-" if row["value"] is None else f"{row['value']:.{digits}g}"
         least = max(digits, 6)
         limits = [f"{s} {row[k]:.{least}g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
-        lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
+        mark = ""
+        if doubt := row.get("doubt"):
+            mark = f"  [{doubts.setdefault(doubt, len(doubts) + 1)}]"
+        text = " and ".join(limits) + mark
+        lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{text}")
+    lines += [f"[{number}] {doubt}" for doubt, number in doubts.items()]
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
     notes = result.facts["notes"]
@@ -214,6 +221,7 @@ def text_of(result: Result) -> str:
         last = sum("earlier" in row for row in result.measurements) + bool(result.facts["faults_not_begun"])
         notes = notes[len(notes) - last :]
     lines += [f"note: {note}" for note in notes]
+    lines += [f"seen: {line}" for line in event_lines(result.facts["events"])]
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
     untested = _untested(result)

@@ -33,6 +33,7 @@ from select import PIPE_BUF
 from typing import Any
 
 from hil.console.json_files import read
+from hil.core.event_rows import event_lines
 
 COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
 STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
@@ -258,7 +259,7 @@ def state(job: Job) -> dict[str, Any]:
     }
     for place, line in _tail(job.folder / STDERR):
         _take(reported, place, line)
-    del reported["messages"][:-_MOST_SHOWN], reported["events"][:-_MOST_SHOWN]
+    del reported["messages"][:-_MOST_SHOWN]
     if not running or (job.folder / f"{ANSWER}{reported['question_id']}").exists():
         reported |= {"question": None, "question_id": None}
     return reported if running else reported | _end(job, reported)
@@ -282,7 +283,7 @@ def _take(shown: dict[str, Any], place: int, line: str) -> None:
         shown |= {"question": None, "question_id": None}
     elif kind == "live":
         shown["live"], shown["held"] = data, None  # of a bench before this one
-        shown["events"] += data.get("events", ())
+        shown["events"] = list(data.get("events", ()))
     else:
         shown[kind] = data
 
@@ -305,6 +306,8 @@ def _end(job: Job, shown: Mapping[str, Any]) -> dict[str, Any]:
     }
     if isinstance(result.get("findings"), list):
         pages["findings"] = result["findings"]
+    if isinstance(events := result.get("events"), list):
+        pages["events"] = event_lines(events)
     emulated = result.get("virtual_time") is True
     return {"verdict": verdict, "why": why, "held": held, "emulated": emulated, **pages}
 

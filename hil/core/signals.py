@@ -451,12 +451,16 @@ class Event:
 
     `source` is the kind of the device concerned. Where one of several kinds may be the cause, it lists them
     all (`hil.core.suspects`).
+
+    Attributes:
+        distrusts: whether the samples of the source count for nothing from now on, in this run.
     """
 
     t_ns: int
     level: str
     source: str
     message: str
+    distrusts: bool = False
 
     @property
     def suspects(self) -> tuple[str, ...]:
@@ -467,6 +471,8 @@ class Event:
 @dataclass(frozen=True)
 class CycleRecord:
     """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces.
+
+    `inputs` hold all samples, `measurements` only those of devices that the checks have not left out.
 
     `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is the
     true state of an emulated robot whose world runs in this process: `t_ns`, `pose_body_in_wall` (3,),

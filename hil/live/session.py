@@ -186,6 +186,7 @@ class LiveSession:
             "timing": bench.statistics.summary(),
             "samples": self._samples.to_json(),
             "pose": pose,
+            "events": bench.seen.rows(),
             "held": bench.held.to_json(),
         }
         if missed := bench.faults_not_begun():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,9 @@ from hil.core.clock import NS_PER_S
 from hil.core.errors import UsageError, did_you_mean
 from hil.core.geometry import Array
 from hil.core.interpolation import between_samples
-from hil.core.signals import CycleRecord, Event
+from hil.core.signals import CycleRecord, Event, RobotState
 
+CAPTURE = "mocap"
 LONGEST_GAP_S = 0.25
 """Longest gap between samples of motion capture that is interpolated.
 
@@ -56,7 +58,7 @@ class Motion:
 
     @property
     def mocap(self) -> Array:
-        """Motion-capture poses interpolated to the cycle times, shape (n, 3); NaN without samples.
+        """Motion-capture poses interpolated to the cycle times, shape (n, 3); NaN without believed samples.
 
         That is before the first sample, inside gaps longer than `LONGEST_GAP_S`, and more than `HELD_S` after
         the last sample.
@@ -69,6 +71,27 @@ class Motion:
         return between_samples(
             wanted, at_ns[order], poses[order], longest=LONGEST_GAP_S * NS_PER_S, after=HELD_S * NS_PER_S
         )
+
+    @property
+    def truth(self) -> tuple[Array, str]:
+        """Poses that the checks believe, shape (n, 3), and why they are not those of motion capture, if so.
+
+        Where motion capture was left out, or its frame has moved, they are those of an estimate that uses the
+        camera; without such an estimate NaN.
+        """
+        lost = next((e for e in self.events if e.distrusts and CAPTURE in e.suspects), None)
+        if lost is None:
+            return self.mocap, ""
+        at_s = (lost.t_ns - self.records[0].inputs.t_ns) / NS_PER_S
+        why = f"motion capture was left out {at_s:.2f} s after the start: {lost.message}"
+        last = self.records[-1]
+        fused = {name: state for name, state in (("", last.state), *last.observers.items()) if _uses(state)}
+        if not fused:
+            return np.full((len(self.records), 3), np.nan), f"not measured: {why}"
+        name, state = next(iter(fused.items()))
+        sigma_mm = 1e3 * math.sqrt(np.linalg.eigvalsh(state.covariance[:2, :2])[-1])
+        poses = self.observer(name) if name else self.estimate
+        return poses, f"by the estimate, with a sigma of {sigma_mm:.1f} mm at the end: {why}"
 
     @property
     def wheels(self) -> Array:
@@ -105,6 +128,11 @@ class Motion:
             )
         states = [r.observers.get(name) for r in self.records]
         return _rows([None if state is None else state.pose_body_in_wall for state in states], 3)
+
+
+def _uses(state: RobotState) -> bool:
+    """Whether an estimate comes from the camera as well."""
+    return "nis_mean_tracker" in state.diagnostics
 
 
 def _rows(values: list[Array | None], width: int) -> Array:

@@ -45,7 +45,7 @@ Lap = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Decision:
-    """Result of the pipeline for one cycle."""
+    """Result of the pipeline for one cycle; `measurements` are those that are believed."""
 
     measurements: Measurements
     state: RobotState
@@ -163,7 +163,7 @@ class ControlPipeline:
         command = self.alignment.to_servos(setpoint)  # 7
         lap("control")
         return Decision(
-            cycle.measurements,
+            believed,
             state,
             cycle.reference,
             setpoint,

@@ -21,6 +21,7 @@ from hil.loop.checks.disagreement_response import AgreementCheck
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.fall import FallCheck, look_at
 from hil.loop.checks.filter_fit import FilterFit
+from hil.loop.checks.frame_move import FrameMove
 from hil.loop.checks.loop_pause import LoopPause
 from hil.loop.checks.lost_sensor import LostCheck
 from hil.loop.checks.path_error import PathCheck
@@ -74,6 +75,7 @@ class Supervisor:
             own.wheels,
             own.steering,
             self._agreement,
+            FrameMove(self.left_out),
             UsableCheck(),
             FilterFit(),
             PathCheck(limits),

@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from hil.core.clock import NS_PER_S, Clock
+from hil.core.event_rows import EventRows, event_lines
 from hil.core.interfaces import HELD_NOTE, Sink
 from hil.core.registry import sample_names
 from hil.core.signals import CycleRecord, Status, worst
 
 _EVERY_NS = NS_PER_S // 2
-_MOST_EVENTS = 20
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 
@@ -34,7 +34,7 @@ class StatusStream(Sink):
         self._begun_ns: int | None = None
         self._counts: dict[str, int] = {}
         self._status: dict[str, Status] = {}
-        self._events: list[str] = []
+        self._events = EventRows()
 
     def write(self, record: CycleRecord) -> None:
         """Count the samples of one cycle; pass on the figures when they are due."""
@@ -45,13 +45,13 @@ class StatusStream(Sink):
             if samples:
                 self._counts[name] = self._counts.get(name, 0) + len(samples)
                 self._status[name] = worst(samples[-1])
-        for event in record.events[: _MOST_EVENTS - len(self._events)]:
-            self._events.append(f"{event.source}: {event.message}")
+        for event in record.events:
+            self._events.add(event, (event.t_ns - self._begun_ns) / NS_PER_S)
         now_ns = self._clock.now_ns()
         if now_ns >= self._next_ns:
             self._next_ns = now_ns + _EVERY_NS
             self._tell("live", self._figures(record))
-            self._counts, self._events = dict.fromkeys(self._counts, 0), []
+            self._counts = dict.fromkeys(self._counts, 0)
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Pass on how the robot was left."""
@@ -78,7 +78,7 @@ class StatusStream(Sink):
                 name: {"samples": count, "status": self._status[name].value}
                 for name, count in self._counts.items()
             },
-            "events": self._events,
+            "events": event_lines(self._events.rows()),
         }
 
 

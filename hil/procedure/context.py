@@ -125,13 +125,19 @@ class Context:
         """Title of the current step."""
         return self.results.where
 
-    def measure(self, name: str, value: float | bool) -> None:
+    def measure(self, name: str, value: float | bool, doubt: str | None = None) -> None:
         """Set a declared measurement. If it is set again, the last value counts and the result notes this.
+
+        Args:
+            name: name of the measurement.
+            value: one number; NaN for a value that could not be measured.
+            doubt: mark in the result: why the value is in doubt or missing; empty for none. By default the
+                sensors that were left out during the run.
 
         Raises:
             UsageError: the measurement is not declared, or the value is not a single number.
         """
-        self.results.measure(name, value)
+        self.results.measure(name, value, self.benches.doubt() if doubt is None else doubt)
 
     def verdict(self) -> Verdict:
         """The worst outcome of what has been measured so far."""

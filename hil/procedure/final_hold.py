@@ -41,6 +41,7 @@ class HoldRecord:
 
     Attributes:
         opened: number of benches.
+        events: what the benches have seen, as `hil.core.event_rows` has it.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class HoldRecord:
         self._last: LeftBench | None = None
         self._checkpoints: list[str] = []
         self._finished: tuple[str, int] | None = None
+        self.events: list[Entry] = []
         for entry in past:
             if entry["checkpoint"] in finished:
                 self._take_again(entry)
@@ -59,6 +61,7 @@ class HoldRecord:
     def _take_again(self, entry: Entry) -> None:
         from hil.bench.hold.result import Held
 
+        self.events += entry["events"]
         held = Held(entry["state"], entry["moved_m"], entry["why"], entry["wanted"])
         bench = LeftBench(f"{entry['bench']}, before this run was resumed", held, entry["tethered"])
         if bench.held.lost and not bench.tethered:
@@ -91,12 +94,23 @@ class HoldRecord:
         if finished:
             self._finished = title, self._guard.driven_ns
 
-    def add(self, name: str, held: Held, *, tethered: bool) -> None:
-        """Add the final report of a bench; ignore journal errors, since the result also has this report."""
+    def add(self, name: str, held: Held, events: Sequence[Entry] = (), *, tethered: bool) -> None:
+        """Add the final report of a bench; ignore journal errors, since the result also has this report.
+
+        Args:
+            name: name of the bench.
+            held: its final report on the hold; counts only where its servos were opened.
+            events: what it has seen.
+            tethered: whether the robot was on a tether.
+        """
+        own = [row | {"bench": name} for row in events]
+        self.events += own
+        if not held.opened:
+            return
         self._last = bench = LeftBench(name, held, tethered)
         if bench.held.lost and not tethered:
             self._lost.append(bench)
-        where = {"bench": name, "checkpoint": self._checkpoint(), "tethered": tethered}
+        where = {"bench": name, "checkpoint": self._checkpoint(), "tethered": tethered, "events": own}
         with suppress(HilError):
             self._journal.add("held", {**where, "wanted": held.wanted, **held.to_json()})
 

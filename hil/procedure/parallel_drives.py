@@ -66,6 +66,7 @@ class Driven:
         tethered: whether the robot was on a tether.
         world_ns, looked_ns, failed: same as `world_ns`, `looked_ns` and `lost` of the bench.
         hold, path, fit: histories for the figures and the last table of every report.
+        events: what the bench has seen, as `hil.core.event_rows` has it.
         lost: why the recording is missing or incomplete; empty if it is complete or was not wanted.
         objection: recording error with which the run has to end; None for none.
     """
@@ -82,6 +83,7 @@ class Driven:
     hold: HoldHistory
     path: PathHistory
     fit: FitHistory
+    events: list[dict[str, Any]]
     lost: str
     objection: RecordingError | None
 
@@ -104,7 +106,7 @@ def driven(sent: Sent[Any]) -> Driven:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), hold, path, fit, "", None)
+        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), hold, path, fit, [], "", None)
     for sink in (hold, path, fit) if recorder is None else (recorder, hold, path, fit):
         bench.add_sink(sink)
     try:
@@ -138,6 +140,7 @@ def driven(sent: Sent[Any]) -> Driven:
         hold,
         path,
         fit,
+        bench.seen.rows(),
         lost,
         objection,
     )

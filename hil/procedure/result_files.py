@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from hil.core.call_chain import in_words
 from hil.core.digits import digits_apart
 from hil.core.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError, reason_of
+from hil.core.event_rows import event_line
 from hil.core.result_files import JUNIT, RESULT, RESULT_SCHEMA
 from hil.procedure.measurements import Measurement, Verdict
 from hil.support.atomic_files import put_whole
@@ -110,6 +111,7 @@ def judge(
     values: Mapping[str, float],
     earlier: Mapping[str, list[float]],
     measured_in: Mapping[str, str],
+    doubts: Mapping[str, str],
     ended: bool,
 ) -> list[dict[str, Any]]:
     """Return the rows of the measurement table.
@@ -119,6 +121,7 @@ def judge(
         values: measured values by name.
         earlier: earlier values by name; a row without earlier values has no such key.
         measured_in: step of each measurement.
+        doubts: why a measurement is in doubt or missing, by name; a row without a doubt has no such key.
         ended: whether the procedure reached its end; if so, a measurement that was never set fails.
     """
     rows = []
@@ -139,6 +142,7 @@ def judge(
                 "step": measured_in.get(m.name),
                 "rationale": m.rationale,
                 **({"earlier": earlier[m.name]} if m.name in earlier else {}),
+                **({"doubt": doubts[m.name]} if doubts.get(m.name) else {}),
             }
         )
     return rows
@@ -190,6 +194,7 @@ def junit(tree: Mapping[str, Any]) -> str:
         ("emulated", ",".join(tree.get("emulated", ())) or "none"),
         ("virtual_time", str(bool(tree.get("virtual_time"))).lower()),
         *(("fault", spec) for spec in tree.get("faults", ())),
+        *(("event", event_line(row)) for row in tree.get("events", ())),
         *((("held", tree["held"]["state"]),) if tree.get("held") else ()),
     ):
         ElementTree.SubElement(properties, "property", name=key, value=str(value))
@@ -206,6 +211,8 @@ def junit(tree: Mapping[str, Any]) -> str:
             ElementTree.SubElement(case, "failure", type="limit", message=_sentence(row))
         elif row["outcome"] == "NOT MEASURED":
             ElementTree.SubElement(case, "skipped", message="the run ended before it")
+        if row.get("doubt"):
+            ElementTree.SubElement(case, "system-out").text = printable(row["doubt"])
     for element in suite.iter():
         element.attrib = {key: printable(text) for key, text in element.attrib.items()}
     ElementTree.indent(suite)

@@ -197,14 +197,18 @@ class RunBenches:
             finally:
                 self._leave(bench)
                 self._recordings.finish()
-                for warning in bench.warnings:
-                    self._results.note_in_any_case(warning)
+
+    def doubt(self) -> str:
+        """Return which sensors have been left out so far, and since when, as a text; empty for none."""
+        rows = [*self.left.events, *([] if self.opened is None else self.opened.seen.rows())]
+        out = {row["device"]: row["t_s"] for row in reversed(rows) if row["left_out"]}
+        return "; ".join(f"{name} was left out from {t_s:.2f} s on" for name, t_s in out.items())
 
     def _leave(self, bench: Bench) -> None:
         self._came(bench.world_ns, bench.looked_ns)
         self.lost += bench.lost
-        if bench.held.opened:
-            self.left.add(self._bench_name, bench.held, tethered=bench.config.safety.tethered)
+        tethered = bench.config.safety.tethered
+        self.left.add(self._bench_name, bench.held, bench.seen.rows(), tethered=tethered)
 
     def _came(self, world_ns: int, looked_ns: int) -> None:
         self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
@@ -246,8 +250,7 @@ class RunBenches:
         self._fit_history.follow(found.fit)
         if found.pressed and self.left.held is None:
             self._results.note(found.pressed)
-        if found.held.opened:
-            self.left.add(name, found.held, tethered=found.tethered)
+        self.left.add(name, found.held, found.events, tethered=found.tethered)
         if found.lost:
             self._results.note_in_any_case(found.lost)
         if found.objection is not None:

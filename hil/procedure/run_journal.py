@@ -49,7 +49,7 @@ _KINDS = frozenset(
 _HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
     "checkpoint": {"title": str},
     "value": {"title": str, "value": object},
-    "measure": {"name": str, "value": (int, float)},
+    "measure": {"name": str, "value": (int, float), "doubt": str},
     "attach": {"name": str, "path": str},
     "figure": {"title": str, "caption": str, "path": str},
     "table": {"title": str, "head": list, "rows": list, "note": str},
@@ -60,6 +60,7 @@ _HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
         "bench": str,
         "checkpoint": str,
         "tethered": bool,
+        "events": list,
         "wanted": bool,
         "state": str,
         "moved_m": (int, float, type(None)),

@@ -36,12 +36,14 @@ _LISTED = 6
 class Findings:
     """Outputs of a run so far; the lists hold JSON values, `learned` holds parts for the robot's record.
 
-    `earlier` holds the previous values of a measurement that was set again to a different value.
+    `earlier` holds the previous values of a measurement that was set again to a different value, `doubts` why
+    one rests on a sensor that was left out, or has no value.
     """
 
     values: dict[str, float] = field(default_factory=dict)
     earlier: dict[str, list[float]] = field(default_factory=dict)
     measured_in: dict[str, str] = field(default_factory=dict)
+    doubts: dict[str, str] = field(default_factory=dict)
     steps: list[Entry] = field(default_factory=list)
     tables: list[Entry] = field(default_factory=list)
     figures: list[Entry] = field(default_factory=list)
@@ -88,7 +90,7 @@ class RunOutputs:
         self.findings.steps.append(entry)
         return entry
 
-    def measure(self, name: str, value: float | bool) -> None:
+    def measure(self, name: str, value: float | bool, doubt: str = "") -> None:
         """As `Context.measure`; raises `UsageError`."""
         if name not in self._by_name:
             raise UsageError(
@@ -103,15 +105,15 @@ class RunOutputs:
                 expected="one number",
                 remedy="measure one element of it, its mean or its largest",
             )
-        self.journal.add("measure", {"name": name, "value": number})
-        self._keep_value(name, number, self.where)
+        self.journal.add("measure", {"name": name, "value": number, "doubt": doubt})
+        self._keep_value(name, number, self.where, doubt)
 
-    def _keep_value(self, name: str, value: float, where: str) -> None:
+    def _keep_value(self, name: str, value: float, where: str, doubt: str) -> None:
         before = self.findings.values.get(name)
         if before is not None and repr(before) != repr(value):  # NaN is NaN
             self.findings.earlier.setdefault(name, []).append(before)
         self.findings.values[name] = value
-        self.findings.measured_in[name] = where
+        self.findings.measured_in[name], self.findings.doubts[name] = where, doubt
 
     def verdict(self) -> Verdict:
         """The worst outcome of what has been measured so far."""
@@ -258,7 +260,7 @@ class RunOutputs:
         for entry in entries:
             kind, data = entry["kind"], {k: v for k, v in entry.items() if k != "kind"}
             if kind == "measure":
-                self._keep_value(data["name"], data["value"], title)
+                self._keep_value(data["name"], data["value"], title, data["doubt"])
             elif kind in lists:
                 lists[kind].append(data)
             elif kind == "data":

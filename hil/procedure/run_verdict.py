@@ -66,7 +66,8 @@ def conclude(context: Context, error: Failure | None, late: list[Failure], facts
     """
     findings = context.findings
     declared = context.results.declared
-    rows = judge(declared, findings.values, findings.earlier, findings.measured_in, error is None)
+    told = findings.earlier, findings.measured_in, findings.doubts
+    rows = judge(declared, findings.values, *told, error is None)
     verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
     if late:
         verdict = Verdict.ERROR
@@ -125,6 +126,7 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "data": findings.data,
         "faults_not_begun": list(missed),
         "notes": findings.notes + context.results.set_again() + reported,
+        "events": benches.left.events,
         "held": _held(benches),
     }
 

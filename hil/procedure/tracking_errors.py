@@ -60,15 +60,18 @@ def enable_hold(bench: Bench, duration_s: float = 0.5) -> Array:
     return bench.settle(duration_s)
 
 
-def tracking_errors(motion: Motion) -> dict[str, float]:
-    """Return errors of the truth (motion capture) against the reference, in mm and deg; ends after the hold.
+def tracking_errors(motion: Motion) -> dict[str, Any]:
+    """Return errors of the truth against the reference, in mm and deg; ends after the hold.
+
+    The truth is motion capture, or what the checks believe in its place (`Motion.truth`); `doubt` says so.
 
     Keys: `rmse_x`, `rmse_y`, `rmse_heading` over the motion, `worst` (distance), `end_x`, `end_y`,
     `end_heading` (truth minus reference), `saturated_s`, `steering_travel` (rad, mean of the wheels), `seen`
-    (share of the motion that motion capture saw). RMSE and `worst` are NaN where that is less than 0.9, ends
-    where motion capture did not see the last 0.3 s.
+    (share of the motion that motion capture saw), `doubt`. RMSE and `worst` are NaN where that share is less
+    than 0.9, ends where motion capture did not see the last 0.3 s.
     """
-    error = motion.mocap - motion.reference
+    truth, doubt = motion.truth
+    error = truth - motion.reference
     error[:, 2] = wrap_array(error[:, 2])
     moving = np.array([r.reference is not None and not r.reference.done for r in motion.records])
     known = np.all(np.isfinite(error), axis=1)
@@ -93,7 +96,7 @@ def tracking_errors(motion: Motion) -> dict[str, float]:
         travel,
         seen,
     )
-    return dict(zip(_KEYS, map(float, values), strict=True))
+    return {**dict(zip(_KEYS, map(float, values), strict=True)), "doubt": doubt}
 
 
 _KEYS = (
@@ -159,8 +162,10 @@ def moved_at_rest(motion: Motion) -> float:
     return float(np.hypot(*(truth[-1, :2] - truth[0, :2])))
 
 
-def unseen(errors: Mapping[str, float]) -> str:
+def unseen(errors: Mapping[str, Any]) -> str:
     """Return a sentence about errors that lack motion capture data; empty if there are none."""
+    if errors["doubt"]:
+        return str(errors["doubt"])
     parts = []
     if errors["seen"] < _LEAST_SEEN:
         parts.append(
@@ -175,10 +180,11 @@ def unseen(errors: Mapping[str, float]) -> str:
 
 def series(motion: Motion) -> dict[str, Any]:
     """Return time, reference, truth and estimate as JSON values, thinned; the largest errors are kept."""
-    errors = np.hstack([motion.mocap - motion.reference, motion.estimate - motion.mocap])
+    truth, _ = motion.truth
+    errors = np.hstack([truth - motion.reference, motion.estimate - truth])
     errors[:, [2, 5]] = wrap_array(errors[:, [2, 5]])
     rows = kept_rows(*errors.T, most=2 * MOST_POINTS)
-    columns = (motion.t_s, *motion.reference.T, *motion.mocap.T, *motion.estimate.T)
+    columns = (motion.t_s, *motion.reference.T, *truth.T, *motion.estimate.T)
     rounded = [np.round(c[rows], 5).tolist() for c in columns]
     return {"t": rounded[0], "reference": rounded[1:4], "truth": rounded[4:7], "estimate": rounded[7:10]}
 

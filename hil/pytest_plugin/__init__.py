@@ -236,6 +236,11 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
             from hil.pytest_plugin.bench_selection import how_to_repeat
 
             report.sections.append(("bench", how_to_repeat(item, opened)))
+        if item.config.stash.get(_SEES, False):
+            from hil.pytest_plugin.benches_of_tests import seen_by_benches
+
+            if told := seen_by_benches(item):
+                report.sections.append(("what the bench saw", told))
     if report.when == "call":
         item.stash[_PASSED] = report.passed
     elif report.when == "teardown":

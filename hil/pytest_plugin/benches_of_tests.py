@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hil.core.event_rows import event_line
 from hil.pytest_plugin.bench_selection import properties_of
 from hil.pytest_plugin.kept_failures import finish, record
 
@@ -33,6 +34,7 @@ class OpenedBench:
         failed: the first failure while it was open.
         title: title of its page: the test that failed, else the test that opened it.
         reported: whether its properties are already in a report.
+        told: number of its events that are already in a report.
     """
 
     bench: Bench
@@ -40,6 +42,16 @@ class OpenedBench:
     title: str
     failed: pytest.TestReport | None = None
     reported: bool = False
+    told: int = 0
+
+    def news(self) -> list[str]:
+        """Lines about the events that are in no report yet."""
+        return [event_line(row) for row in self.bench.seen.rows()[self.told :]]
+
+
+def seen_by_benches(item: pytest.Item) -> str:
+    """Return what the benches of a test have seen, a line for each event."""
+    return "\n".join(line for one in item.config.stash.get(_OPENED, []) for line in one.news())
 
 
 def see(item: pytest.Item, bench: Bench) -> None:
@@ -69,7 +81,9 @@ def end_test(
     for one in list(seen):
         if failed is not None and one.failed is None:
             one.failed, one.title = failed, item.nodeid
-        still = one.bench.is_open
+        news, still = one.news(), one.bench.is_open
+        report.user_properties += [("event", line) for line in news]
+        one.told += len(news)
         if one.bench is not fixture and not (still and one.reported):
             _add(report, groups, properties_of(one.bench))
             one.reported = True

@@ -49,6 +49,16 @@ class _Held(_Part):
     why: str = ""
 
 
+class _Event(_Part):
+    t_s: float
+    level: str
+    device: str
+    what: str
+    count: int = 1
+    last_s: float = 0.0
+    bench: str = ""
+
+
 class _Row(_Part):
     name: str
     unit: str
@@ -59,6 +69,7 @@ class _Row(_Part):
     outcome: Literal["PASS", "MARGINAL", "FAIL", "NOT MEASURED"]
     limited: bool = True
     rationale: str = ""
+    doubt: str = ""
 
 
 class _Step(_Part):
@@ -126,6 +137,7 @@ class _Result(_Part):
     attachments: list[_Attachment] = []
     recordings: list[str] = []
     notes: list[str] = []
+    events: list[_Event] = []
 
 
 def wrong_shape(error: ValidationError) -> str:

@@ -53,6 +53,7 @@ def write_run_page(folder: Path, out: Path | None = None) -> Path:
             figures=[f | {"image": _image(folder, f)} for f in tree["figures"]],
             tables=[table | {"words": _columns_of_words(table["rows"])} for table in tree["tables"]],
             address=lambda path: address(folder, path),
+            several=len({event["bench"] for event in tree["events"]}) > 1,
             parameters=_flat(tree["parameters"]),
             config=_flat(tree["config"]),
             duration=duration(tree["duration_s"]),

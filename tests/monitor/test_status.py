@@ -65,16 +65,16 @@ def test_it_reports_twice_a_second_and_counts_what_came_between(records):
     assert reported[1][1]["devices"]["servos"] == {"samples": came, "status": "ok"}
 
 
-def test_what_is_unknown_is_null_and_events_are_reported_once(records):
+def test_what_is_unknown_is_null_and_events_stay(records):
     reported, clock = [], At()
     stream = StatusStream(lambda kind, data: reported.append(data), clock)
     first = records[0]
     state = replace(first.state, pose_body_in_wall=np.array([np.nan, 0.1, 0.2]))
-    stream.write(replace(first, state=state, events=(Event(0, "warning", "imu", "stuck"),)))
+    stream.write(replace(first, state=state, events=(Event(first.inputs.t_ns, "warning", "imu", "stuck"),)))
     clock.ns = nanoseconds(1.0)
     stream.write(first)
     assert json.loads(json.dumps(reported[0], allow_nan=False))["pose"] == [None, 0.1, 0.2]
-    assert [figures["events"] for figures in reported] == [["imu: stuck"], []]
+    assert [figures["events"] for figures in reported] == [["0.00 s, warning, imu: stuck"]] * 2
 
 
 def test_how_the_robot_was_left_is_passed_on_and_nothing_else_that_is_noted(records):

@@ -16,6 +16,7 @@ from hil.bench.hold.result import Held, untouched
 from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.model import BenchModel
 from hil.bench.reconnect import reconnecting
+from hil.bench.seen_events import SeenEvents
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
@@ -58,7 +59,8 @@ class HeldDevices:
         self._looked_ns: int | None = None
         self.pressed = ""
         self._hold = HoldMonitor(model, rig, clock)
-        self._sinks = list(sinks)
+        self.seen = SeenEvents(self._since_begun_ns)
+        self._sinks = [*sinks, self.seen]
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []
 
@@ -151,10 +153,10 @@ class HeldDevices:
         """World time at the end of the check of the stopped robot; never less than `world_ns`."""
         return self._since_begun_ns(self._closed_ns if self._looked_ns is None else self._looked_ns)
 
-    def _since_begun_ns(self, ended_ns: int | None) -> int:
+    def _since_begun_ns(self, t_ns: int | None) -> int:
         if self._begun_ns is None:
             return 0
-        return (self.clock.now_ns() if ended_ns is None else ended_ns) - self._begun_ns
+        return (self.clock.now_ns() if t_ns is None else t_ns) - self._begun_ns
 
     def faults_not_begun(self) -> tuple[str, ...]:
         """Specs of the planned faults that had not begun when the bench was closed."""

@@ -164,9 +164,11 @@ function show(jobs) {
   at("live").hidden = !(job && job.live);
   at("live-title").textContent = job && job.running ? "Live" : "Last figures before the stop";
   if (job && job.live) live(job);
-  const lines = job ? [...job.messages, ...job.events] : [];
-  at("more").hidden = !lines.length;
-  at("log").textContent = lines.join("\n");
+  const events = job ? job.events : [];
+  at("seen").hidden = !events.length;
+  at("seen-lines").replaceChildren(...events.map((line) => make("li", {}, line)));
+  at("more").hidden = !(job && job.messages.length);
+  at("log").textContent = job ? job.messages.join("\n") : "";
   const isRunning = Boolean(job && job.running);
   if (wasRunning && !isRunning) history();
   wasRunning = isRunning;

@@ -13,7 +13,7 @@ _MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}
 
 
 class Exclusion:
-    """The excluded devices of one run.
+    """The devices of one run whose measurements are not believed.
 
     Args:
         estimated: devices whose measurements the estimators use.
@@ -27,6 +27,7 @@ class Exclusion:
     def reset(self) -> None:
         """Clear the exclusions."""
         self._names: set[str] = set()
+        self._moved: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
         return name in self._names
@@ -46,13 +47,23 @@ class Exclusion:
         self._names.add(name)
         if name in self._estimated:
             cycle.inflate(*doubt.inflation)
-        cycle.events.append(
-            Event(cycle.inputs.t_ns, "warning", name, f"left out from now on: {doubt.message}")
-        )
+        said = f"left out from now on: {doubt.message}"
+        cycle.events.append(Event(cycle.inputs.t_ns, "warning", name, said, distrusts=True))
+
+    def take_moved(self, name: str, message: str, cycle: Cycle) -> None:
+        """Report that the frame of a device has moved.
+
+        Its displacements still count in comparisons with others, its positions for nothing, unless the
+        estimators use them and judge them themselves.
+        """
+        independent = name not in self._estimated
+        if independent:
+            self._moved.add(name)
+        cycle.events.append(Event(cycle.inputs.t_ns, "warning", name, message, distrusts=independent))
 
     def without_excluded(self, measurements: Measurements) -> Measurements:
-        """Measurements without those of excluded devices."""
-        if not self._names:
+        """Measurements that are believed: those of excluded devices are removed."""
+        if not (self._names or self._moved):
             return measurements
-        nothing: dict[str, tuple[()]] = {_MEASURED[name]: () for name in self._names}
+        nothing: dict[str, tuple[()]] = {_MEASURED[name]: () for name in self._names | self._moved}
         return replace(measurements, **nothing)  # type: ignore[arg-type]

@@ -1,0 +1,45 @@
+"""What a bench has seen: the events of its cycles, and its own warnings, for results and reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from hil.core.clock import NS_PER_S
+from hil.core.event_rows import GRAVE, EventRows
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord, Event
+
+
+class SeenEvents(Sink):
+    """Collects the events of warning and above of one bench.
+
+    Args:
+        since_begun_ns: converts a time of the bench's clock, ns, to the time since the bench was opened.
+
+    Attributes:
+        distrusted: first event of each device whose samples count for nothing from then on.
+    """
+
+    def __init__(self, since_begun_ns: Callable[[int], int]) -> None:
+        self._since_begun_ns = since_begun_ns
+        self._rows = EventRows(GRAVE)
+        self.distrusted: dict[str, Event] = {}
+
+    def write(self, record: CycleRecord) -> None:
+        """Add the events of one cycle."""
+        for event in record.events:
+            self.add(event)
+
+    def add(self, event: Event) -> None:
+        """Add an event."""
+        self._rows.add(event, self._since_begun_ns(event.t_ns) / NS_PER_S)
+        if event.distrusts:
+            self.distrusted.setdefault(event.source, event)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to close."""
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Rows as `EventRows.rows` returns them."""
+        return self._rows.rows()
