@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
-from hil.links.can_bus import CanLink, frame_key, has_failed, remedy_of_silence, shown_key
+from hil.links.can_bus import CanLink, frame_key, remedy_of_silence, shown_key
 from hil.links.streaming_sensor import C, S, StreamingSensor
 
 _LOOK_S = 0.02
@@ -96,7 +96,6 @@ class CanSensor(StreamingSensor[C, S]):
                     found.append((item, arrived_ns))
         if found:
             self._link.error = ""
-        self.port_gone = not found and has_failed(self._link.error, now_ns - self.heard_ns)
         return found
 
     def silent(self, what: str) -> DeviceTimeoutError:

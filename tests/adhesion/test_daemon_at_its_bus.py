@@ -1,5 +1,8 @@
 """The daemon at its bus: a failed bus is retried for ever and reported; so are other programs' commands."""
 
+import threading
+import time
+
 import can
 import pytest
 from can_bus import Bus
@@ -40,8 +43,13 @@ def test_a_command_every_period_byte_for_byte(kept):
     assert cycle.worst_gap_ns == PERIOD_NS
 
 
+class ClosedError(Exception):
+    """As python-can-remote raises: of no class that python-can knows."""
+
+
 @pytest.mark.parametrize(
-    "error", [can.CanOperationError("Transmit buffer full"), OSError(19, "No such device")]
+    "error",
+    [can.CanOperationError("Transmit buffer full"), OSError(19, "No such device"), ClosedError("1006")],
 )
 def test_a_bus_that_fails_is_opened_again_for_ever_and_reported_once(kept, said, monkeypatch, error):
     cycle, bus = kept
@@ -64,6 +72,51 @@ def test_a_bus_that_fails_is_opened_again_for_ever_and_reported_once(kept, said,
     assert again.sent
     assert cycle.status(nanoseconds(40.5))["worst_gap_s"] > 10.0
     assert cycle.bus_error == ""
+
+
+@pytest.mark.parametrize("error", [ClosedError("1006"), IndexError("string index out of range")])
+def test_a_bus_that_hears_nothing_and_swallows_what_is_sent_is_opened_again(kept, said, monkeypatch, error):
+    """python-can-remote: once its connection is closed, receiving raises and sending does nothing at all."""
+    cycle, bus = kept
+    again = Bus()
+    monkeypatch.setattr(bus_cycle, "open_bus", lambda spec: again)
+    run(cycle, 0.0, 0.5)
+    bus.deaf = error
+    run(cycle, 0.5, 1.0)
+    assert again.sent
+    assert "commands do not reach the fan" in said[-2]
+    assert said[-1] == "CAN: works again"
+    assert cycle.status(nanoseconds(1.5))["worst_gap_s"] > 0.5
+
+
+def test_damaged_frames_on_a_bus_that_works_are_passed_over(kept, said):
+    cycle, bus = kept
+    for _ in range(40):
+        bus.arriving = [IndexError("string index out of range")] * 3
+        run(cycle, 0.05 * _, 0.05)
+    assert cycle.worst_gap_ns == PERIOD_NS
+    assert len(bus.sent) == 40
+    assert not any("CAN" in text for text in said)
+
+
+def test_a_bus_that_takes_long_to_open_does_not_hold_up_the_daemon(said, monkeypatch):
+    """Connecting to a host that is switched off takes minutes; requests are answered meanwhile."""
+    opened, again = threading.Event(), Bus()
+
+    def slowly(spec):
+        opened.wait(10.0)
+        return again
+
+    monkeypatch.setattr(bus_cycle, "open_bus", slowly)
+    cycle = BusCycle(SPEC, FanControl(SPEC), said.append)
+    cycle.control.resume(0, SetPoint("duty", 0.5), SetPoint("duty", 0.5))
+    began_s = time.monotonic()
+    run(cycle, 0.0, 0.5)
+    assert time.monotonic() - began_s < 5.0
+    opened.set()
+    run(cycle, 0.5, 0.5)
+    cycle.close()
+    assert again.sent
 
 
 def test_another_program_that_commands_the_fan_is_reported_and_not_followed(kept, said):

@@ -10,7 +10,7 @@ from can.interfaces.udp_multicast.utils import pack_message
 
 from hil.config.encoders import EncodersConfig
 from hil.fakes.free_port import free_udp_port
-from hil.links.can_bus import open_bus
+from hil.links.can_interface import open_bus
 from hil.support import can_multicast
 from hil.support.can_multicast import HostMulticastBus, is_of_this_host
 from hil.support.emulated_can_mark import Mark, bus_name

@@ -15,7 +15,7 @@ from hil.fakes.can_channel import CanChannel
 from hil.fakes.can_server import CanTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS
-from hil.links.can_bus import open_bus
+from hil.links.can_interface import open_bus
 
 pytestmark = pytest.mark.alone
 

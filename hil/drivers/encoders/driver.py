@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections import deque
 from collections.abc import Mapping
 
@@ -18,25 +17,12 @@ from hil.core.signals import EncoderSample, Stamp
 from hil.drivers.encoders.as5045_word import decode_words
 from hil.drivers.encoders.frame_layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus, NodeTimeline
-from hil.links.can_arrival_times import ArrivalClock
-from hil.links.can_bus import (
-    BUS_ERRORS,
-    frame_key,
-    has_failed,
-    open_bus,
-    receiver,
-    remedy_of_silence,
-    shown_key,
-    shut,
-)
+from hil.links.can_bus import CanLink, frame_key, remedy_of_silence, shown_key
 from hil.links.silence_limit import SilenceTimer, used_while_closed
 
 _EVERY_NS = NS_PER_S
 _LOG = logging.getLogger(__name__)
 _array = np.array  # a name of this module: looking it up in numpy takes longer
-_MOST_FRAMES = 1024
-_MOST_PASSED_OVER = 256
-_ERROR_COUNTS = 16
 _WAIT_S = 0.02
 _OVER_NS = 100_000_000
 """A set ends so long after its first frame, even without all frames; longer where sets are rarer."""
@@ -78,19 +64,18 @@ class As5045Encoders(Sensor[EncoderSample]):
     Attributes:
         malformed: frames of the right identifier and the wrong length since `open`.
         incomplete: sample sets that lacked a frame since `open`.
-        error_frames: error frames seen on the bus since `open`.
-        passed_over: frames of no use since `open`: of others, malformed, repeated, and failures of the bus.
+        passed_over: frames of no use since `open`: of others, malformed, repeated.
         restarted: times (ns) of the latest jumps of the node's clock: a restart, or a second node.
-        floods: reads that stopped after too many frames, or too many of no use; the rest waits.
+        port_gone: False: the link opens a failed bus again by itself.
         node_status: the node's status message, known within about a second of `open`.
     """
 
     name = "encoders"
+    port_gone = False
 
     def __init__(self, config: EncodersConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock
-        self._bus: can.BusABC | None = None
-        self._bus_error = ""
+        self._link = CanLink(self.name, config, clock)
         self._resumed_at = 0
         self._identity: dict[str, str] = {}
         self._silence_timer, self._yellow_mode = SilenceTimer(config.fail_after_s), config.yellow_mode
@@ -98,7 +83,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._forget()
 
     def _forget(self) -> None:
-        self.malformed = self.incomplete = self.error_frames = self.passed_over = self.floods = 0
+        self.malformed = self.incomplete = self.passed_over = 0
         self.restarted: deque[int] = deque(maxlen=_OFTEN)
         self._say_restarted, self._say_malformed = RateLimitedWarning(_LOG), RateLimitedWarning(_LOG)
 
@@ -115,7 +100,6 @@ class As5045Encoders(Sensor[EncoderSample]):
         self.node_status = NodeStatus(self._config)
         first = next(iter(self._layout.values()))
         self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
-        self._arrivals = ArrivalClock()
         self._forget()
         self._layout_reported = False
         self._sequence: int | None = None
@@ -123,14 +107,14 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._words = [-1] * 4
         self._time_raw = 0
         self._discard = self._config.startup_discard
-        self._bus = open_bus(self.name, self._config)
+        self._link.open()
         try:
             self._await_first_set()
         except BaseException:
             self.close()
             raise
         self._silence_timer.begin(self._clock.now_ns())
-        self._bus_error = ""
+        self._link.error = ""
         self._identity = {
             "model": "AS5045",
             "port": self._port,
@@ -144,16 +128,10 @@ class As5045Encoders(Sensor[EncoderSample]):
         self.open()
         self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)
 
-    @property
-    def port_gone(self) -> bool:
-        """Whether the CAN interface itself fails, and nothing has come for a while."""
-        return has_failed(self._bus_error, self._clock.now_ns() - self._silence_timer.good_ns)
-
     def close(self) -> None:
         """Close the bus. Idempotent; never raises."""
         self._identity = {}
-        bus, self._bus = self._bus, None
-        shut(self.name, bus)
+        self._link.close()
 
     def identity(self) -> Mapping[str, str]:
         """Bus, DBC and frames in use, and the node's firmware once it has reported it; empty while closed."""
@@ -162,9 +140,14 @@ class As5045Encoders(Sensor[EncoderSample]):
         return {**self._identity, "firmware": self.node_status.firmware}
 
     @property
+    def error_frames(self) -> int:
+        """Error frames seen on the bus since `open`."""
+        return self._link.error_frames
+
+    @property
     def bus_error(self) -> str:
-        """What the CAN interface reported last (bus off, error frames, lost interface); empty for nothing."""
-        return self._bus_error
+        """What the CAN interface reported last (bus off, lost interface); empty for nothing."""
+        return self._link.error
 
     @property
     def two_nodes(self) -> str:
@@ -184,50 +167,29 @@ class As5045Encoders(Sensor[EncoderSample]):
             DeviceError: it is closed.
             DeviceTimeoutError: no sample set for `fail_after_s`.
         """
-        if self._bus is None:
+        if not self._identity:
             raise used_while_closed(self.name, self._port)
         now_ns = self._clock.now_ns()
-        samples = self._received(self._bus, now_ns)
+        samples = self._received(now_ns)
         if overdue_ns := self._silence_timer.overdue_ns(bool(samples), now_ns):
             raise self._silent(overdue_ns / NS_PER_S)
         if samples:
-            self._bus_error = ""
+            self._link.error = ""
         return tuple(samples)
 
-    def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
+    def _received(self, now_ns: int) -> list[EncoderSample]:
         """Sample sets of the frames that wait; a bounded number, as any node on the bus may send."""
-        samples: list[EncoderSample] = []
-        most, take = self.passed_over + _MOST_PASSED_OVER, receiver(bus)
-        for _ in range(_MOST_FRAMES):
-            if self.passed_over >= most:
-                break
-            try:
-                message = take()
-            except BUS_ERRORS as error:
-                self._bus_error = str(error)
-                self.passed_over += _ERROR_COUNTS
-                continue
-            if message is None:
-                if self._sequence is not None and now_ns - self._arrival_ns > self._over_ns:
-                    sample = self._cut_short(now_ns)
-                    samples += () if sample is None else (sample,)
-                return samples
-            sample = self._take(message, now_ns)
-            if sample is not None:
-                samples.append(sample)
-        self.floods += not self._bus_error
-        if self.floods == 1:
-            _LOG.warning("%s: frames flood %s; a read takes only some of them", self.name, self._port)
-        return samples
+        taken = [self._take(message, arrived_ns, now_ns) for arrived_ns, message in self._link.take()]
+        if self._sequence is not None and now_ns - self._arrival_ns > self._over_ns:
+            taken.append(self._cut_short(now_ns))
+        return [sample for sample in taken if sample is not None]
 
     @property
     def _port(self) -> str:
-        return f"{self._config.interface}:{self._config.channel}"
+        return self._link.port
 
     def _silent(self, duration_s: float) -> DeviceTimeoutError:
-        seen = f", {self.error_frames} error frames" * bool(self.error_frames)
-        seen += f", {self._bus_error}" * bool(self._bus_error)
-        seen += f"; {self.two_nodes}" * bool(self.two_nodes)
+        seen = self._link.bus_errors() + f"; {self.two_nodes}" * bool(self.two_nodes)
         return DeviceTimeoutError(
             self.name,
             f"no sample set for {duration_s:.1f} s{seen}",
@@ -238,37 +200,22 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _await_first_set(self) -> None:
         """Wait for complete sets; raises `DeviceError` that names what was seen instead."""
-        assert self._bus is not None
         deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
-        silences = math.ceil(self._config.open_timeout_s / _WAIT_S) + 1
         sets_left = _OPEN_SETS
         others: dict[int, int] = {}
         wrong: dict[int, int] = {}
-        self._bus_error = ""
-        while silences > 0 and self._clock.now_ns() < deadline_ns:
-            try:
-                message = self._bus.recv(_WAIT_S)
-            except BUS_ERRORS as error:
-                self._bus_error = str(error)
-                silences -= 1
-                self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(_WAIT_S))
-                continue
-            if message is None:
-                silences -= 1
-                continue
-            key = frame_key(message.arbitration_id, message.is_extended_id)
-            layout = self._layout.get(key)
-            if message.is_error_frame:
-                self.error_frames += 1
-                continue
-            if layout is None:
-                others[key] = message.dlc
-            elif len(message.data) != layout.length:
-                wrong[key] = len(message.data)
-            self._take(message, self._clock.now_ns())
-            if layout is not None and self._finished >= 0 and -1 not in self._words:
-                sets_left -= 1
-            if not sets_left:
+        while self._clock.now_ns() < deadline_ns:
+            for arrived_ns, message in self._link.take(_WAIT_S):
+                key = frame_key(message.arbitration_id, message.is_extended_id)
+                layout = self._layout.get(key)
+                if layout is None:
+                    others[key] = message.dlc
+                elif len(message.data) != layout.length:
+                    wrong[key] = len(message.data)
+                self._take(message, arrived_ns, self._clock.now_ns())
+                if layout is not None and self._finished >= 0 and -1 not in self._words:
+                    sets_left -= 1
+            if sets_left <= 0:
                 return
         raise self._not_seen(others, wrong)
 
@@ -286,11 +233,11 @@ class As5045Encoders(Sensor[EncoderSample]):
             )
         return self._silent(self._config.open_timeout_s)
 
-    def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
+    def _take(self, message: can.Message, arrived_ns: int, host_ns: int) -> EncoderSample | None:
         """Process one frame; returns the sample set that it completes or cuts short."""
         layout = self._layout.get(frame_key(message.arbitration_id, message.is_extended_id))
-        data, strange = message.data, message.is_remote_frame or message.is_error_frame
-        if layout is None or strange or len(data) != layout.length:
+        data = message.data
+        if layout is None or len(data) != layout.length:
             self._pass_over(message, layout, host_ns)
             return None
         sequence, time_raw, words = layout.decode(data)
@@ -298,11 +245,10 @@ class As5045Encoders(Sensor[EncoderSample]):
             self.passed_over += 1
             return None
         sample = None
-        arrival_ns = self._arrivals.arrival_ns(message.timestamp, host_ns)
         if sequence != self._sequence:
             if self._sequence is not None:
                 sample = self._cut_short(host_ns)
-            self._sequence, self._arrival_ns, self._words = sequence, arrival_ns, [-1] * 4
+            self._sequence, self._arrival_ns, self._words = sequence, arrived_ns, [-1] * 4
         known = self._words
         for wheel, word in words:
             known[wheel] = word
@@ -320,9 +266,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             self._warn_of_layout()
             return
         self.passed_over += 1
-        if message.is_error_frame:
-            self.error_frames += 1
-        elif layout is not None and not message.is_remote_frame:
+        if layout is not None:
             self.malformed += 1
             text = f"frame {shown_key(layout.key)} has {len(message.data)} bytes, not {layout.length}"
             self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {text}")
