@@ -1,10 +1,7 @@
-"""Serial ports by pyserial URL: local devices, raw TCP (`socket://`) and RFC 2217 servers (`rfc2217://`).
+"""Serial ports by pyserial URL: local devices, and those of `network_ports`.
 
-pyserial's network ports are made for terminals. Here a raw socket sends small packets at once instead
-of waiting for acknowledgements, and an RFC 2217 port negotiates with its server only when a line setting
-changes, not at every timeout that is set and every buffer that is cleared (50 ms each). A local port reads
-without checking first whether bytes have come. It belongs to one program at a time: the first that opens it
-locks it.
+A local port reads without checking first whether bytes have come. It belongs to one program at a time: the
+first that opens it locks it.
 """
 
 from __future__ import annotations
@@ -14,20 +11,16 @@ import errno
 import fcntl
 import grp
 import os
-import queue
-import socket
 import stat
-import warnings
 from pathlib import Path
 from typing import Any, ClassVar
 
 import serial
-from serial import rfc2217
 
 from hil.core.errors import DeviceError
+from hil.links.network_ports import RFC2217, SOCKET, open_network_port
 from hil.support.port_users import named, programs_with
 
-RFC2217 = "rfc2217://"
 BY_ID = Path("/dev/serial/by-id")
 """Links to serial ports by their adapters' serial numbers."""
 _GROUP_BITS = stat.S_IRGRP | stat.S_IWGRP
@@ -54,37 +47,7 @@ def close_quietly(port: Any) -> None:
             port.close()
 
 
-_Rfc2217: Any = rfc2217.Serial  # the attributes that are needed here are no part of its type
 _Local: Any = serial.Serial
-
-
-class RemotePort(_Rfc2217):  # type: ignore[misc]
-    """An RFC 2217 port that is quick enough for a request and its reply."""
-
-    _negotiated: tuple[object, ...] | None = None
-
-    def _reconfigure_port(self) -> None:
-        wanted = (
-            self._baudrate,
-            self._bytesize,
-            self._parity,
-            self._stopbits,
-            self._rtscts,
-            self._dsrdtr,
-            self._xonxoff,
-        )
-        if wanted != self._negotiated:
-            super()._reconfigure_port()
-            self._negotiated = wanted
-
-    def reset_input_buffer(self) -> None:
-        """Discard bytes that have arrived; those still under way are left to checksums."""
-        if not self.is_open:
-            raise serial.PortNotOpenError
-        if self._read_buffer is not None:
-            with contextlib.suppress(queue.Empty):
-                while self._read_buffer.qsize():
-                    self._read_buffer.get(False)
 
 
 class LocalPort(_Local):  # type: ignore[misc]
@@ -254,19 +217,9 @@ def open_serial(
     Raises:
         serial.SerialException, OSError, ValueError: as pyserial raises them.
     """
-    if url.lower().startswith(RFC2217):
-        remote = RemotePort()
-        remote.port, remote.baudrate, remote.timeout = url, baud, timeout_s
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 starts its thread the old way
-            remote.open()
-        return remote
-    if "://" not in url:
-        settings = {"baudrate": baud, "timeout": timeout_s, "write_timeout": write_timeout_s}
-        return SharedPort(url, **settings) if shared else LocalPort(url, exclusive=True, **settings)
-    port = serial.serial_for_url(url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s)
-    if url.lower().startswith("socket://"):
-        connection = getattr(port, "_socket", None)
-        if isinstance(connection, socket.socket):
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return port
+    if url.lower().startswith((RFC2217, SOCKET)):
+        return open_network_port(url, baud=baud, timeout_s=timeout_s, write_timeout_s=write_timeout_s)
+    settings: dict[str, Any] = {"baudrate": baud, "timeout": timeout_s, "write_timeout": write_timeout_s}
+    if "://" in url:
+        return serial.serial_for_url(url, **settings)
+    return SharedPort(url, **settings) if shared else LocalPort(url, exclusive=True, **settings)
