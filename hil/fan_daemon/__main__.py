@@ -2,6 +2,8 @@
 
 import sys
 
-from hil.fan_daemon.process import main
+sys.modules["asammdf"] = None  # type: ignore[assignment]  # python-can would load pandas with it: 100 MB locked
+
+from hil.fan_daemon.process import main  # noqa: E402
 
 sys.exit(main())
