@@ -1,7 +1,8 @@
 """A serial line on a pseudo-terminal: any client opens it as it would open a USB adapter.
 
 The kernel gives the baud rate that the client has set, so that a wrong rate results in noise. A PTY has no
-modem lines and cannot be unplugged: during `unplug` it is silent.
+modem lines and cannot be unplugged: during `unplug` it is silent. Like the driver of an adapter it discards
+what arrives while no client has it open, and forgets a client's claim to be the only one (TIOCEXCL) with it.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ import array
 import contextlib
 import fcntl
 import os
+import termios
 import tty
 
+from hil.fakes.pty_clients import PtyClients
 from hil.fakes.serial_line import SerialLine, Unplugged
 from hil.fakes.server import Transport
 
@@ -33,6 +36,7 @@ class SerialPty(Transport):
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
+        self._clients = PtyClients(os.ttyname(self._slave), self._forget_client)
         self._open = True
         self.lost = 0
         line.listen(self._baud)
@@ -44,7 +48,7 @@ class SerialPty(Transport):
     def on_due(self, t_ns: int) -> None:
         """Write received bytes to the terminal; count those that are far too late or not read in `lost`."""
         data = self._line.take(_CHUNK)
-        if not self._open:
+        if not self._open or not self._clients.present():
             return
         written = 0
         if not self.behind:
@@ -53,15 +57,19 @@ class SerialPty(Transport):
         self.lost += len(data) - written
 
     def filenos(self) -> list[int]:
-        """File descriptor of the emulator's end of the terminal."""
-        return [self._master] if self._open else []
+        """File descriptors of the emulator's end of the terminal, and of its clients' coming and going."""
+        return [self._master, *self._clients.filenos()] if self._open else []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
         """Pass the client's bytes on at the baud rate that it has set."""
+        if fd != self._master:
+            self._clients.present()
+            return
         try:
             data = os.read(fd, _CHUNK)
         except OSError:
             return
+        self._clients.came()
         with contextlib.suppress(Unplugged):
             self._line.send(data, self._baud())
 
@@ -74,8 +82,13 @@ class SerialPty(Transport):
         if self._open:
             self._open = False
             self._line.listen(None)
+            self._clients.close()
             os.close(self._master)
             os.close(self._slave)
+
+    def _forget_client(self) -> None:
+        fcntl.ioctl(self._slave, termios.TIOCNXCL)
+        termios.tcflush(self._slave, termios.TCIFLUSH)
 
     def _baud(self) -> int:
         """Baud rate set on the client's side; arbitrary rates need termios2 (Linux)."""

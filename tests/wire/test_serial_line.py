@@ -260,6 +260,7 @@ def test_a_terminal_that_is_not_read_loses_and_counts():
     world = World(StillPlant())
     line = SerialLine(world, chip, latency_s=0.001)
     transport = SerialPty(line)
+    client = serial.Serial(transport.endpoint()["port"])
     try:
         while transport.lost < 500 and world.now_ns < 60_000_000_000:
             line.send(b"a" * 62, 115_200)
@@ -268,6 +269,7 @@ def test_a_terminal_that_is_not_read_loses_and_counts():
                 transport.on_due(world.now_ns)
         assert transport.lost >= 500
     finally:
+        client.close()
         transport.close()
     line.send(b"late", 115_200)
     world.advance_to(world.now_ns + 100_000_000)
