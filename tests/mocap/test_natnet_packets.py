@@ -49,7 +49,9 @@ def test_emulated_frames_have_the_published_layout(version):
     if version >= (4, 1):
         sections.insert(4, [])
     data = struct.pack("<i", 77) + b"".join(build.counted(s, version) for s in sections)
-    data += struct.pack("<IId3QHi", 0, 0, 12.5, 1000, 1400, 2000, 0, 0)
+    precision = (0, 0) if version >= (4, 1) else ()
+    end = "<IId3Q2IHi" if precision else "<IId3QHi"
+    data += struct.pack(end, 0, 0, 12.5, 1000, 1400, 2000, *precision, 0, 0)
     assert natnet_encoding.Frames().frame(77, SEEN, TIMES, version) == build.message(7, data)
 
 

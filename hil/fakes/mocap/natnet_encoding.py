@@ -18,7 +18,8 @@ _PAIR = struct.Struct("<iI")
 _POINTS, _BODY = struct.Struct("<12f"), struct.Struct("<i3f4ffh")
 _PACKED = struct.Struct(f"{_POINTS.size}s")
 _LABELLED = struct.Struct("<" + 4 * "i3ffhf")
-_SUFFIX = struct.Struct("<IId3QHi")
+_SUFFIX, _SIZED_SUFFIX = struct.Struct("<IId3QHi"), struct.Struct("<IId3Q2IHi")
+"""End of a frame; since 4.1 with two precision stamps, which are 0 in a system that is not synchronised."""
 _MARKER_SIZE_M = 0.014
 _SOLVED = 0x0A
 _SHOWN_AS_ALL = b"all\0"
@@ -133,7 +134,8 @@ class _Template:
         frame += nothing * (2 if sized else 1) + head(4 * count, count * _LABELLED.size)
         labelled = [room(_LABELLED.size) for _ in names]
         frame += nothing * 2
-        self._suffix = room(_SUFFIX.size)
+        self._end, self._precision = (_SIZED_SUFFIX if sized else _SUFFIX), (0, 0) if sized else ()
+        self._suffix = room(self._end.size)
         _HEAD.pack_into(frame, 0, FRAME, len(frame) - _HEAD.size)
         self._frame = frame
         self._places = [_Places(*places) for places in zip(points, in_all, itself, labelled, strict=True)]
@@ -147,7 +149,7 @@ class _Template:
         for k, body in enumerate(bodies):
             if self._known[k] is not body:
                 self._write(k, body)
-        _SUFFIX.pack_into(frame, self._suffix, 0, 0, *times, 0, 0)
+        self._end.pack_into(frame, self._suffix, 0, 0, *times, *self._precision, 0, 0)
         return bytes(frame)
 
     def _write(self, k: int, body: SeenBody) -> None:

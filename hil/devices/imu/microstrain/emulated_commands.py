@@ -59,6 +59,8 @@ class Commands:
             (f.BASE, f.PING): lambda data: _DONE,
             (f.BASE, f.SET_IDLE): self._set_idle,
             (f.BASE, f.DEVICE_INFO): self._device_info,
+            (f.BASE, f.DESCRIPTORS): self._descriptors,
+            (f.BASE, f.MORE_DESCRIPTORS): lambda data: (f.DONE, (Field(f.MORE_DESCRIPTORS_REPLY),)),
             (f.BASE, f.BUILT_IN_TEST): self._built_in_test,
             (f.BASE, f.RESUME): self._resume,
             (f.BASE, f.SOFT_RESET): self._soft_reset,
@@ -102,6 +104,11 @@ class Commands:
 
     def _device_info(self, data: bytes) -> Answer:
         return f.DONE, (Field(f.DEVICE_INFO_REPLY, self._info.to_bytes()),)
+
+    def _descriptors(self, data: bytes) -> Answer:
+        """All commands and all data, by descriptor set and descriptor; the second command adds none."""
+        known = sorted((*self._known, *((f.FILTER_DATA, one) for one in f.LAYOUTS)))
+        return f.DONE, (Field(f.DESCRIPTORS_REPLY, b"".join(map(bytes, known))),)
 
     def _built_in_test(self, data: bytes) -> Answer:
         return f.DONE, (Field(f.BUILT_IN_TEST_REPLY, bytes(4)),)
