@@ -90,7 +90,7 @@ class CanLink:
         self._meaning: Meaning | None = None
         self._said: deque[Any] = deque(maxlen=_MOST_FRAMES)
         self._arrivals = ArrivalClock()
-        self._asked_ns = clock.now_ns()
+        self._asked_ns = 0
         self._failing_ns: int | None = None
         self.error, self.error_frames = "", 0
 
@@ -104,7 +104,7 @@ class CanLink:
         self.close()
         self._arrivals = ArrivalClock()
         self.error, self.error_frames = "", 0
-        self._failing_ns = None
+        self._failing_ns, self._asked_ns = None, self._clock.now_ns()
         self._read.clear()
         self._said.clear()
         self._meaning = None

@@ -119,7 +119,7 @@ def test_a_multiplexed_node_is_read(encoder_bench, steering_plant, drain, tmp_pa
     bench.driver.open()
     samples = drain(bench, 20)
     assert len(samples) >= 38
-    assert {s for sample in samples for s in sample.status} == {Status.OK}
+    assert {s for sample in samples[1:] for s in sample.status} == {Status.OK}, "the first is of its start"
     assert samples[-1].angle_rad == pytest.approx(angles, abs=0.02)
 
 

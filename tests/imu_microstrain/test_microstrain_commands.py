@@ -31,6 +31,6 @@ def test_it_lists_what_it_can_as_mscl_asks_before_anything_else():
     assert packet.fields[0::2] == (Field(f.ACK, b"\x04\x00"), Field(f.ACK, b"\x07\x00"))
     listed, more = packet.fields[1::2]
     assert (listed.descriptor, more) == (0x82, Field(0x86))
-    known = [divmod(int.from_bytes(listed.data[k : k + 2], "big"), 256) for k in range(0, len(listed.data), 2)]
+    known = list(zip(listed.data[::2], listed.data[1::2], strict=True))
     assert known == sorted(set(known))
     assert {(0x01, 0x01), (0x01, 0x04), (0x0C, 0x0F), (0x82, 0x03), (0x82, 0xD5)} <= set(known)
