@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.odometry_messages import POSES, Parser, odometry_of
+from hil.devices.tracker.mavlink.packet_losses import PacketLosses
 from hil.devices.tracker.mavlink.transport_interface import Address, Arrival, Link
 
 _QUICK_NS, _STEADY_NS = nanoseconds(0.02), nanoseconds(0.2)
@@ -132,7 +133,7 @@ class Session:
         packets: arrivals of any content.
         malformed: pieces that are no MAVLink packet, or whose checksum is wrong; datagrams that are too long.
         strangers: messages from other senders.
-        lost: gaps in the sender's packet numbers.
+        losses: of the sender's packets, by the address that they come from.
         floods: exchanges that stopped reading after too many datagrams of no use; the rest waits.
         other_clock: poses in a row whose stamps are not of the clock that answers TIMESYNC.
     """
@@ -143,7 +144,7 @@ class Session:
         self._writer = common.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
         self._peer: Address | None = link.peer
         self._heartbeat_ns = 0
-        self._last_number: int | None = None
+        self.losses: dict[Address, PacketLosses] = {}
         self._ask_ns, self._asks_left = 0, _ASKS
         self.odometry: deque[Received] = deque(maxlen=config.queue_length)
         self.last: Any = None
@@ -152,13 +153,18 @@ class Session:
         self.heartbeat: Any = None
         self.version: Any = None
         self.sync = TimeSync()
-        self.packets = self.malformed = self.strangers = self.lost = self.floods = self.other_clock = 0
+        self.packets = self.malformed = self.strangers = self.floods = self.other_clock = 0
         self._overflowed = 0
 
     @property
     def overflowed(self) -> int:
         """Odometry that was not taken in time, and arrivals that the link could not keep."""
         return self._overflowed + self._link.overflowed
+
+    @property
+    def lost(self) -> int:
+        """Packets that the sender has numbered and that never came."""
+        return sum(losses.lost for losses in self.losses.values())
 
     @property
     def trouble(self) -> str:
@@ -213,13 +219,16 @@ class Session:
             self._peer = arrival.sender
         if not self._is_wanted(source):
             self.strangers += 1
+            if arrival.sender in self.losses:
+                self.losses[arrival.sender].count_other(message.get_seq())
             return False
         if kind in POSES and self.source is None:
             self.source = source
         if source != self.source:
             return False
         self._peer = arrival.sender
-        self._count(message.get_seq())
+        if arrival.sender in self.losses or len(self.losses) < _MOST_SENDERS:
+            self.losses.setdefault(arrival.sender, PacketLosses()).count(message.get_seq())
         if kind == POSES[1] and POSES[0] not in self.heard.get(source, ()):
             kind, message = POSES[0], odometry_of(message, self._common)
         if kind == POSES[0]:
@@ -239,13 +248,6 @@ class Session:
             return source == self.source
         wanted = self._config.system_id, self._config.component_id
         return all(w in (None, s) for w, s in zip(wanted, source, strict=True))
-
-    def _count(self, number: int) -> None:
-        """Packet numbers run from 0 to 255; a large step is a restart or a late packet, not a gap."""
-        if self._last_number is not None:
-            gap = (number - self._last_number - 1) % 256
-            self.lost += gap if gap < 128 else 0
-        self._last_number = number
 
     def _time(self, message: Any, arrived_ns: int) -> None:
         if message.tc1 == 0:
