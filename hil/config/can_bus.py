@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 from typing import Annotated, Any, NamedTuple
@@ -11,6 +12,9 @@ from pydantic import Field
 from hil.config.device import DeviceConfig
 from hil.config.values import Patience, Within
 from hil.support.emulated_can_mark import bus_name
+
+_ONE_READER = ("canalystii", "cantact", "gs_usb", "robotell", "seeedstudio", "serial", "slcan")
+"""Interfaces of python-can that open a serial or USB adapter: each frame goes to one of those who read it."""
 
 SEARCH_S = 0.5
 """Time that discovery waits for a device on a bus."""
@@ -78,6 +82,7 @@ def can_conflicts(devices: Mapping[str, DeviceConfig]) -> Iterator[tuple[str, st
     for name, table in tables:
         for one, other in combinations(table.claims(), 2):
             yield from _quarrel(table.bus, name, one, name, other)
+    yield from _shared_adapters([(name, table) for name, table in tables if table.backend == "real"])
     for (name, table), (rival, theirs) in combinations(tables, 2):
         if table.backend != theirs.backend or table.bus != theirs.bus:
             continue
@@ -90,6 +95,29 @@ def can_conflicts(devices: Mapping[str, DeviceConfig]) -> Iterator[tuple[str, st
         for one in table.claims():
             for other in theirs.claims():
                 yield from _quarrel(table.bus, name, one, rival, other)
+
+
+def _shared_adapters(tables: list[tuple[str, CanConfig]]) -> Iterator[tuple[str, str]]:
+    """Adapters for one reader that several devices have, or one whose daemon is another reader."""
+    by_adapter: dict[tuple[str, str], list[str]] = {}
+    for name, table in tables:
+        if table.interface in _ONE_READER:
+            readers = by_adapter.setdefault((table.interface, _place(table.channel)), [])
+            readers += [name, f"the daemon of {name}"] if hasattr(table, "daemon_spec") else [name]
+    for (interface, channel), readers in by_adapter.items():
+        if len(readers) > 1:
+            yield (
+                f"{readers[0]}.interface",
+                f"{interface!r} at {channel} gives each frame to one reader, and {', '.join(readers)} would "
+                "each lose some: make the adapter a SocketCAN interface, which all share (with slcand where "
+                'it is a serial port, docs/computer.md), and set interface = "socketcan" for each of them',
+            )
+
+
+def _place(channel: str) -> str:
+    """An adapter without the rate of its serial port; a link stands for what it leads to."""
+    port = channel.partition("@")[0]
+    return os.path.realpath(port) if port.startswith("/") else port
 
 
 def _quarrel(bus: str, name: str, one: Claim, rival: str, other: Claim) -> Iterator[tuple[str, str]]:

@@ -151,8 +151,7 @@ def test_what_was_recorded_stays_readable_whatever_would_be_refused_today():
 PORTS = (
     '[servos]\nport = "{dev}/usb0"\n[imu]\nport = "{dev}/usb1"\n[thrust]\nmodel = "teensy"\n'
     'port = "{dev}/acm0"\n[load_cells]\nmodel = "hx711_line"\nport = "{dev}/acm0"\n'
-    '[adhesion]\ninterface = "slcan"\nchannel = "{dev}/acm1@115200"\n[encoders]\ninterface = "slcan"\n'
-    'channel = "{dev}/acm1@115200"\n'
+    '[encoders]\ninterface = "slcan"\nchannel = "{dev}/acm1@115200"\n'
 )
 
 
@@ -164,7 +163,7 @@ PORTS = (
         ("imu.port", "../dev/usb0", "imu.port: '{dev}/../dev/usb0' is the port of servos.port"),
         ("load_cells.port", "usb0", "load_cells.port: '{dev}/usb0' is the port of servos.port"),
         ("servos.port", "acm0", "load_cells.port: '{dev}/acm0' is the port of servos.port"),
-        ("adhesion.channel", "usb1@115200", "adhesion.channel: '{dev}/usb1@115200' is the port of imu.port"),
+        ("encoders.channel", "usb1@115200", "imu.port: '{dev}/usb1' is the port of encoders.channel"),
     ],
 )
 def test_no_two_devices_have_one_serial_port_but_cells_and_propellers_of_one_teensy(
@@ -192,3 +191,26 @@ def test_remote_ports_count_by_their_address(tmp_path):
     load_bench(str(path), overrides={"servos.port": "loop://", "imu.port": "loop://"})
     with pytest.raises(ConfigError, match=r"is the port of servos\.port"):
         load_bench(str(path), overrides={"imu.port": "socket://10.0.0.2:4000"})
+
+
+@pytest.mark.parametrize(
+    ("tables", "readers"),
+    [
+        (("encoders", "load_cells"), "encoders, load_cells"),
+        (("adhesion",), "adhesion, the daemon of adhesion"),
+        (("encoders",), ""),
+    ],
+)
+@pytest.mark.parametrize("interface", ["slcan", "gs_usb", "socketcan"])
+def test_an_adapter_for_one_reader_is_not_shared(tables, readers, interface, tmp_path):
+    """Each of two readers of a serial port gets some of the bytes: both lose frames, and cut others short."""
+    path, port = tmp_path / "bench.toml", tmp_path / "acm0"
+    channels = iter((str(port), f"{port}@115200"))
+    port.touch()
+    where = "".join(f'[{name}]\ninterface = "{interface}"\nchannel = "{next(channels)}"\n' for name in tables)
+    path.write_text(f'schema = 1\nname = "shared"\n{where}', encoding="utf-8")
+    if not readers or interface == "socketcan":
+        assert load_bench(str(path)).devices()
+        return
+    with pytest.raises(ConfigError, match=rf"{tables[0]}\.interface: '{interface}'.*{readers}.*slcand"):
+        load_bench(str(path))
