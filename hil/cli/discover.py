@@ -98,7 +98,7 @@ def command(
     if not found.sections:
         unwritten = f"; {out} was not written" if out is not None else ""
         click.echo(
-            f"hil: nothing answered; check power, cables and permissions (group dialout){unwritten}", err=True
+            f"hil: nothing answered; check power and cables, and what is not asked above{unwritten}", err=True
         )
         return EXIT_DEVICE
     return EXIT_DEVICE if ports and (found.silent or found.not_asked) else EXIT_PASS

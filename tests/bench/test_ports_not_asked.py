@@ -1,5 +1,6 @@
 """What discovery writes where: nothing to ports that may hold a robot, and no setting of any device."""
 
+import errno
 import io
 import os
 import pty
@@ -75,6 +76,30 @@ def test_a_port_that_another_program_has_open_is_left_alone(port):
         assert why_not_asked(path, {}) == f"sleep (process {other.pid}) has it open"
         busy = cannot_open("servos", path, OSError(16, "busy"), expected="a servo")
         assert f"sleep (process {other.pid})" in busy.remedy
+
+
+@pytest.mark.parametrize(
+    ("number", "says"),
+    [
+        (errno.EACCES, "udev rule"),
+        (errno.EBUSY, "sudo fuser -v {path} names it"),
+        (errno.ENOENT, "plugged in"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_has_the_doctors_remedy(port, monkeypatch, number, says):
+    """Its own group and mode, its own name: as `hil doctor` says of a device at this port."""
+    path, _ = port
+    os.chmod(path, 0o600)
+    error = OSError(number, os.strerror(number))
+
+    def refused(*_, **__):
+        raise error
+
+    monkeypatch.setattr("hil.bench.doctor.protected_ports.open_serial", refused)
+    why = why_not_asked(path, {})
+    assert why.endswith(cannot_open("servos", path, error, expected="").remedy)
+    assert says.format(path=path) in why
+    assert os.strerror(number) in why
 
 
 def test_ports_of_propellers_are_known_by_bench_files(tmp_path, port):

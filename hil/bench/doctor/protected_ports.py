@@ -104,8 +104,8 @@ def _cannot_be_opened(port: str) -> str:
     try:
         close_quietly(open_serial(port, baud=_BAUD, timeout_s=_WAIT_S, write_timeout_s=_WAIT_S))
     except PORT_ERRORS as error:
-        reported = cannot_open(port, "", error, expected="a serial port")
-        return f"{reported.message.removeprefix(f'{port}: ')}; {reported.remedy}"
+        reported = cannot_open("discover", port, error, expected="")
+        return f"{reported.message.partition(': ')[2]}; {reported.remedy}"
     return ""
 
 

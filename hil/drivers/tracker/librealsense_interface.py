@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError
 from hil.support.extras import how_to_install
+from hil.support.versions import ABSENT, version_of
 
 MODEL = "T265"
 LAST_VERSION, LAST_FIRMWARE = "2.53.1", "0.2.0.951"
@@ -149,7 +150,7 @@ def find_camera(
         if clock.now_ns() >= deadline_ns:
             break
         clock.sleep_until_ns(clock.now_ns() + _LOOK_NS)
-    version = getattr(library, "__version__", "of unknown version")
+    version = version_of("pyrealsense2").replace(ABSENT, "of unknown version")  # the library does not say
     raise DeviceError(
         device,
         reason,
