@@ -19,6 +19,7 @@ import can
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import UsageError
+from hil.fakes.periodic_frames import WorldSendTask
 from hil.fakes.world import NEVER_NS, World
 from hil.faults.fault import BOTH, IN, OUT, Supported
 from hil.faults.messages import FRAME_FAULTS, Messages, declared
@@ -248,7 +249,10 @@ class WorldBus(can.BusABC):
         while True:
             frame = self.take()
             if frame is not None:
-                return message_of(frame)
+                message = message_of(frame)
+                sender: Any = message.channel
+                message.is_rx, message.channel = sender is not self, self._channel.name
+                return message
             if deadline_ns is None or world.now_ns >= deadline_ns:
                 return None
             step_ns = min(deadline_ns, world.next_due_ns(), queue[0][0] if queue else NEVER_NS)
@@ -260,10 +264,28 @@ class WorldBus(can.BusABC):
         return self.recv(timeout), True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a copy of a frame to all other listeners, and to this one if it receives its own messages."""
+        """Send a copy of a frame to all other listeners, and to this one if it receives its own messages.
+
+        Raises:
+            can.CanOperationError: the adapter is unplugged, or an FD frame is sent to a classical bus.
+        """
         self._channel.check_plugged()
-        sender = None if self._receives_own else self._queue
-        self._channel.send(_copied(msg), self._channel.world.now_ns, sender=sender)
+        if msg.is_fd:
+            raise can.CanOperationError("a CAN FD frame cannot be sent on a classical bus")
+        sender, own = None if self._receives_own else self._queue, _copied(msg)
+        own.channel = self  # type: ignore[assignment]  # read back by `recv`
+        self._channel.send(own, self._channel.world.now_ns, sender=sender)
+
+    def _send_periodic_internal(
+        self,
+        msgs: Any,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Callable[[can.Message], None] | None = None,
+    ) -> WorldSendTask:
+        world = self._channel.world
+        return WorldSendTask(world, self, msgs, period, duration, autostart, modifier_callback)
 
     def shutdown(self) -> None:
         """Stop listening on the channel."""

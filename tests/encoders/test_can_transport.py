@@ -4,6 +4,7 @@ import contextlib
 import threading
 
 import can
+import numpy as np
 import pytest
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
@@ -164,3 +165,29 @@ def test_each_listener_has_a_frame_of_his_own_and_who_wants_it_hears_himself(enc
         assert sent.timestamp == 0.0
         one.send(sent)
         assert one.recv(0.1) is None
+        assert [message.is_rx for message in heard] == [False, True, True], "its own frame is no received one"
+        assert {message.channel for message in heard} == {name}
+        with pytest.raises(can.CanOperationError, match="FD"):
+            talker.send(can.Message(arbitration_id=7, data=bytes(12), is_fd=True))
+
+
+def test_frames_are_sent_periodically_in_world_time(encoder_bench):
+    """As a python-can client does it on any interface; its own thread would go by this computer's clock."""
+    bench = encoder_bench("encoders:off@0")
+    with (
+        can.Bus(interface="hil", channel=bench.channel.name) as talker,
+        can.Bus(interface="hil", channel=bench.channel.name) as listener,
+    ):
+        frames = [can.Message(arbitration_id=7, data=bytes((k,)), is_extended_id=False) for k in range(2)]
+        task = talker.send_periodic(frames, 0.02, duration=0.5)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_000_000_000)
+        heard = [message for message in iter(lambda: listener.recv(0), None) if message.arbitration_id == 7]
+        assert [message.data[0] for message in heard] == [0, 1] * 12 + [0]
+        assert np.diff([message.timestamp for message in heard]) == pytest.approx(0.02, abs=1e-9)
+        task.modify_data([can.Message(arbitration_id=7, data=b"x", is_extended_id=False)] * 2)
+        task.start()
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 110_000_000)
+        talker.stop_all_periodic_tasks()
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000_000)
+        again = [message for message in iter(lambda: listener.recv(0), None) if message.arbitration_id == 7]
+        assert [bytes(message.data) for message in again] == [b"x"] * 6
