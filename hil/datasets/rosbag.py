@@ -17,16 +17,18 @@ from typing import Any
 import numpy as np
 
 from hil.core.clock import NS_PER_S
-from hil.core.errors import DataError, HilError
+from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.bag_check import CONVERT, check_bag
+from hil.datasets.bag_check import CONVERT
+from hil.datasets.bag_messages import CDR, STORAGES, opened_bag, storage_files, storage_suffix
 from hil.datasets.bag_rows import JointRows, TruthPoses
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import motion_of
 from hil.datasets.topic_map import TopicMap, WheelTopic
-from hil.datasets.unpacking import PACKED, unpacked
+from hil.datasets.unpacking import unpacked
+from hil.recording.mcap_records import BagTopic
 
 _TRANSFORMS = ("/tf", "/tf_static")
 _ENOUGH = 20_000
@@ -38,10 +40,6 @@ _POSES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "nav_msgs/msg/Odometry",
 )
-_STORAGES = (".mcap", ".db3")
-_CDR, _LONGEST_REASON = "cdr", 200
-_REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
-_REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
 _DAY_NS = 86_400 * NS_PER_S
 _BLOCK_BYTES = 1 << 20
 
@@ -52,19 +50,15 @@ def broken_frames(path: Path) -> tuple[str, ...]:
     Args:
         path: a rosbag2 folder or file that is known to be readable.
     """
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
     parents: dict[str, set[str]] = {}
     used: dict[str, str] = {}
-    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-        for connection, _, raw in islice(bag.messages(), _ENOUGH):
-            message: Any = bag.deserialize(raw, connection.msgtype)
-            if connection.topic in _TRANSFORMS:
+    with opened_bag(path) as bag:
+        for topic, _, message in islice(bag.messages(), _ENOUGH):
+            if topic.name in _TRANSFORMS:
                 for one in message.transforms:
                     parents.setdefault(one.child_frame_id, set()).add(one.header.frame_id)
             elif frame := getattr(getattr(message, "header", None), "frame_id", ""):
-                used.setdefault(frame, connection.topic)
+                used.setdefault(frame, topic.name)
     return tuple(problems_of(parents, used)) if parents else ()
 
 
@@ -116,12 +110,7 @@ class _Stamp:
 
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a rosbag2 recording: a folder with its metadata, or a storage file."""
-    return (path / "metadata.yaml").exists() if path.is_dir() else _storage(path) in _STORAGES
-
-
-def _storage(path: Path) -> str:
-    """Suffix of a storage file, without the suffix of its compression."""
-    return Path(path.stem).suffix if path.suffix in PACKED else path.suffix
+    return (path / "metadata.yaml").exists() if path.is_dir() else storage_suffix(path) in STORAGES
 
 
 def bags_in(folder: Path) -> list[Path]:
@@ -150,16 +139,9 @@ def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None)
                 expected=error.expected,
                 remedy=error.remedy,
             ) from None
-        digests = tuple(_digest(storage) for storage in _storages(plain))
+        digests = tuple(_digest(storage) for storage in storage_files(plain))
     parts = [replace(part, sources=(str(file),), sha256=digests) for part in (found, *found.later)]
     return replace(parts[0], later=tuple(parts[1:]))
-
-
-def _storages(bag: Path) -> list[Path]:
-    """Storage files of a bag, by name: the path itself if it is a file."""
-    if bag.is_file():
-        return [bag]
-    return sorted(file for file in bag.iterdir() if file.is_file() and _storage(file) in _STORAGES)
 
 
 def _digest(file: Path) -> str:
@@ -253,45 +235,27 @@ def _check_stamps(path: Path, topic: str, stamps: Sequence[_Stamp]) -> None:
 
 def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp, Any]]:
     """Iterate over topic, stamp and message of the wanted topics."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    check_bag(path)
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            there = {c.topic for c in bag.connections}
-            missing = [t for t in wanted if t not in there]
-            if missing:
-                raise DataError(
-                    str(path),
-                    f"has no topic {', '.join(missing)}",
-                    expected=f"one of {', '.join(sorted(there))}",
-                )
-            chosen = [c for c in bag.connections if c.topic in wanted]
-            for connection in chosen:
-                _check_encoding(path, connection)
-                _check_type(path, connection.topic, connection.msgtype, joints=connection.topic == wanted[0])
-            for number, (connection, log_ns, raw) in enumerate(bag.messages(connections=chosen)):
-                message: Any = bag.deserialize(raw, connection.msgtype)
-                at = message.header.stamp
-                yield connection.topic, _Stamp(number, at.sec * NS_PER_S + at.nanosec, log_ns), message
-    except HilError:
-        raise
-    except Exception as error:  # a library that reads foreign files may raise anything
-        why = " ".join(str(error).split())[:_LONGEST_REASON]
-        raise DataError(
-            str(path),
-            f"is not a readable rosbag2 recording ({why or type(error).__name__})",
-            remedy=_REPAIR.get(path.suffix, _REINDEX),
-        ) from None
+    with opened_bag(path) as bag:
+        there = {topic.name: topic for topics in bag.topics for topic in topics}
+        if missing := [name for name in wanted if name not in there]:
+            raise DataError(
+                str(path),
+                f"has no topic {', '.join(missing)}",
+                expected=f"one of {', '.join(sorted(there))}" if there else "topics with messages",
+            )
+        for topic in (topic for topics in bag.topics for topic in topics if topic.name in wanted):
+            _check_encoding(path, topic)
+            _check_type(path, topic.name, topic.kind, joints=topic.name == wanted[0])
+        for number, (topic, log_ns, message) in enumerate(bag.messages(wanted)):
+            at = message.header.stamp
+            yield topic.name, _Stamp(number, at.sec * NS_PER_S + at.nanosec, log_ns), message
 
 
-def _check_encoding(path: Path, connection: Any) -> None:
+def _check_encoding(path: Path, topic: BagTopic) -> None:
     """Raise `DataError` for messages that are not encoded as CDR."""
-    encoding = getattr(connection.ext, "serialization_format", _CDR)
-    if encoding != _CDR:
+    if topic.encoding != CDR:
         raise DataError(
-            str(path), f"{connection.topic} is encoded as {encoding!r}", expected=_CDR, remedy=CONVERT
+            str(path), f"{topic.name} is encoded as {topic.encoding!r}", expected=CDR, remedy=CONVERT
         )
 
 

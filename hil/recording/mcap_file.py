@@ -117,6 +117,7 @@ class RecordingFile:
         self._channels: dict[str, _Channel] = {}
         self._messages: CycleMessages | None = None
         self._flushed_ns: int | None = None
+        self._log_ns = -1
         self.flushed = self.unflushed = 0
         self._mcap = Writer(self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30)
         self._mcap.start(profile="ros2", library=LIBRARY)
@@ -152,31 +153,37 @@ class RecordingFile:
             self._messages = CycleMessages(self._kinds, self._frames, self._wall_ns)
         return self._messages
 
+    def _next_log_ns(self, t_ns: int) -> int:
+        """Log time of a cycle or note: after that of the one before, for it alone keeps their order."""
+        self._log_ns = max(t_ns + self._wall_ns, self._log_ns + 1)
+        return self._log_ns
+
     def _add(self, log_ns: int, items: Iterable[Message]) -> None:
-        """Add messages, all logged at one time."""
+        """Add messages, all logged at one time; none counts as published after it."""
         add_message, channels, wall_ns = self._mcap.add_message, self._channels, self._wall_ns
-        log_ns = max(0, log_ns + wall_ns)
         for topic, t_ns, data in items:
-            channel, t_ns = channels[topic], t_ns + wall_ns
+            channel, t_ns = channels[topic], min(t_ns + wall_ns, log_ns)
             add_message(channel.id, log_ns, data, t_ns if t_ns > 0 else 0, channel.sent & 0xFFFFFFFF)
             channel.sent += 1
 
     def add_cycle(self, record: CycleRecord) -> None:
         """Add one cycle; flushes by the records' own time."""
         now_ns, messages = record.start_ns, self.begin()
-        self._add(now_ns, [messages.cycle(record.inputs.t_ns, self._codec.encode(record))])
+        encoded = self._codec.encode(record)
+        log_ns = self._next_log_ns(now_ns)
+        self._add(log_ns, [messages.cycle(record.inputs.t_ns, encoded)])
         self.unflushed += 1
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
-            self._add(now_ns, messages.first(now_ns, self._description))
-        self._add(now_ns, messages.of(record))
+            self._add(log_ns, messages.first(now_ns, self._description))
+        self._add(log_ns, messages.of(record))
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns
             self.flush()
 
     def add_note(self, t_ns: int, note: str) -> None:
         """Add one free note."""
-        self._add(t_ns, [self.begin().note(t_ns, note)])
+        self._add(self._next_log_ns(t_ns), [self.begin().note(t_ns, note)])
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the operating system."""

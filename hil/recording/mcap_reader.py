@@ -14,13 +14,17 @@ from hil.core.clock import WallOffset
 from hil.core.errors import ConfigError, DataError
 from hil.core.signals import CycleRecord
 from hil.recording.cycle_codec import FORMAT, CycleCodec
-from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, LIBRARY, METADATA, PACKAGES
-from hil.recording.mcap_records import COPY_AGAIN, in_place_of, records_of
+from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, METADATA, PACKAGES
+from hil.recording.mcap_records import COPY_AGAIN, in_place_of, messages_of, records_of
 from hil.recording.needed_packages import added_kinds
 from hil.recording.topics import TOPICS
 from hil.support.file_reading import json_object
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
+_KEEP_METADATA = (
+    "convert the original again by a program that keeps metadata records (`mcap filter --include-metadata`, "
+    "`pymcap-cli filter --metadata include`); `ros2 bag convert` and `rosbags-convert` do not keep them"
+)
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
 GO_ON = "give a list as `problems` to go on with what could be read"
 
@@ -54,7 +58,7 @@ class RecordingReader:
         self.header, self._codec = self._open()
 
     def _open(self) -> tuple[dict[str, Any], CycleCodec]:
-        from mcap.records import Chunk, Header, Metadata
+        from mcap.records import Metadata, MetadataIndex
 
         if self.path.is_dir() or self.path.suffix == ".db3":
             raise DataError(
@@ -64,19 +68,23 @@ class RecordingReader:
                 remedy=in_place_of(self.path) or NEEDS_TOPICS,
             )
         problems: list[str] = []
-        ours, at = False, 0
+        indexed = -1
         for at, record in records_of(self.path, problems):
-            if isinstance(record, Header):
-                ours = record.library == LIBRARY
-            elif isinstance(record, Metadata) and record.name == METADATA:
+            if isinstance(record, Metadata) and record.name == METADATA:
                 return self._described(at, record.metadata)
-            elif isinstance(record, Chunk):
-                break
-        if ours and not problems:
-            problems.append(f"is damaged before byte {at}: what says how to read it is not there")
+            if isinstance(record, MetadataIndex) and record.name == METADATA:
+                indexed = record.offset
+        if indexed >= 0:
+            problems.append(f"is damaged at byte {indexed}: what says how to read it is not there")
         if problems:
             raise DataError(str(self.path), problems[0], remedy=COPY_AGAIN)
-        raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
+        if next(messages_of(self.path, lambda c: c.topic == _CYCLE, []), None) is None:
+            raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
+        raise DataError(
+            str(self.path),
+            f"has cycle records, but not the metadata record `{METADATA}` that says how to read them",
+            remedy=_KEEP_METADATA,
+        )
 
     def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleCodec]:
         """Header, and codec for the cycles, from the metadata record at byte `at`."""
@@ -104,27 +112,11 @@ class RecordingReader:
             ) from None
 
     def items(self) -> Iterator[CycleRecord | Note]:
-        """Cycles and notes in the order in which they were written."""
-        from mcap.records import Channel, Chunk, Message
-        from mcap.stream_reader import breakup_chunk
-
-        topics: dict[int, str] = {}
-        cycles = 0
-        for at, record in records_of(self.path, self.problems):
-            try:
-                parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
-            except Exception as error:  # whatever unpacking makes of damaged bytes
-                self.problems.append(f"a chunk after cycle {cycles}, at byte {at}, is damaged ({error})")
-                continue
-            for part in parts:
-                if isinstance(part, Channel):
-                    topics[part.id] = part.topic
-                elif isinstance(part, Message):
-                    topic = topics.get(part.channel_id)
-                    item = self._item(topic, part.data) if topic in (_CYCLE, _NOTE) else None
-                    if item is not None:
-                        cycles += topic == _CYCLE
-                        yield item
+        """Cycles and notes in the order of their log times, in which they were written."""
+        for channel, message in messages_of(self.path, lambda c: c.topic in (_CYCLE, _NOTE), self.problems):
+            item = self._item(channel.topic, message.data)
+            if item is not None:
+                yield item
 
     def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
         """What a message on one of our own topics holds; None where it cannot be read."""

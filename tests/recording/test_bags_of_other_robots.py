@@ -228,8 +228,8 @@ def mcap(path, *, profile="ros2", schema="ros2msg", encoding="cdr"):
     ("made", "said"),
     [
         ({"encoding": "json"}, "encoded as 'json'"),
-        ({"profile": "", "schema": "jsonschema", "encoding": "json"}, "'', encoded as json, jsonschema)"),
-        ({"profile": ""}, "is an MCAP file, but no rosbag2 recording (profile '', encoded as cdr, ros2msg)"),
+        ({"profile": "", "schema": "jsonschema", "encoding": "json"}, "/wheels is encoded as 'json'"),
+        ({"profile": "ros1", "schema": "ros1msg", "encoding": "ros1"}, "/wheels is encoded as 'ros1'"),
     ],
 )
 def test_an_mcap_file_of_another_kind_is_to_be_converted(tmp_path, topics, made, said):

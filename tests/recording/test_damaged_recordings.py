@@ -47,7 +47,7 @@ def test_an_empty_file_is_called_empty(tmp_path):
 @pytest.mark.parametrize(
     ("find", "put", "message"),
     [
-        (b"\x0c", b"\x2c", r"is damaged before byte \d+: what says how to read it is not there"),
+        (b"\x0c", b"\x2c", r"is damaged at byte 32: what says how to read it is not there"),
         (b"packages", b"pack\xffges", r"is damaged after byte 32: "),
         (b'{"config"', b'{"conf"g"', r"cannot be understood, or is damaged after byte 32 \("),
         (b"\x03\x00\x00\x00hil", b"\x03\x10\x00\x00hil", r"is damaged after byte 32: "),
@@ -147,7 +147,7 @@ def test_a_recording_that_another_program_wrote_anew_is_read_and_its_damage_name
         assert (read[0], read[-1]) == (0, 49)
         assert 20 < len(read) < 50
         (problem,) = problems
-        assert re.match(r"a chunk after cycle \d+, at byte \d+, is damaged", problem)
+        assert re.match(r"the chunk at byte \d+ is damaged", problem)
         assert int(re.search(r"at byte (\d+)", problem).group(1)) < at
 
 
