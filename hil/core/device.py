@@ -76,7 +76,7 @@ class Topic(NamedTuple):
 
     Attributes:
         name, type: topic name and message type, for example `/imu/data` and `sensor_msgs/msg/Imu`.
-        message: makes the message from (sample, `hil.recording.ros_types.MessageMaker`).
+        message: makes the message from (sample, `hil.recording.ros_types.MessageMaker`); None to send none.
     """
 
     name: str

@@ -213,8 +213,8 @@ def _write_parquet(names: tuple[str, ...], table: Array, file: BinaryIO) -> None
     parquet = _parquet()
     import pyarrow
 
-    columns = {name: table[:, i] for i, name in enumerate(names)}
-    parquet.write_table(pyarrow.table(columns), file)
+    columns = {name: pyarrow.array(table[:, i], from_pandas=True) for i, name in enumerate(names)}
+    parquet.write_table(pyarrow.table(columns), file)  # pandas' rule: NaN is null
 
 
 def _parquet() -> Any:

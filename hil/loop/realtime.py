@@ -95,7 +95,10 @@ class RealTime:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         while self._undo:
-            self._undo.pop()()
+            try:
+                self._undo.pop()()
+            except OSError as error:  # the others are undone all the same
+                LOG.warning("a setting of the scheduler could not be put back (%s)", reason_of(error))
 
     def idle(self, deadline_ns: int) -> None:
         """Collect garbage if it is due and fits into the time before the next cycle."""
@@ -155,7 +158,18 @@ class RealTime:
                 f"`ulimit -r {self._fifo_priority}` or an rtprio line in /etc/security/limits.conf"
             )
             return
-        self._undo.append(lambda: os.sched_setscheduler(0, policy, parameters))
+        self._undo.append(lambda: _schedule_again(policy, parameters))
+
+
+def _schedule_again(policy: int, parameters: os.sched_param) -> None:
+    """Schedule this thread as before; where only root may clear `SCHED_RESET_ON_FORK`, that stays set.
+
+    It then only keeps children of this thread from a priority that the thread no longer has (sched(7)).
+    """
+    try:
+        os.sched_setscheduler(0, policy, parameters)
+    except PermissionError:
+        os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameters)
 
 
 def idle_loop(

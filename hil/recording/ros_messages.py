@@ -57,7 +57,7 @@ def _of_six(planar: Array) -> list[float]:
     return whole
 
 
-def _odometry(state: RobotState, ros: MessageMaker) -> bytes:
+def _odometry(state: RobotState, ros: MessageMaker) -> bytes | None:
     """`nav_msgs/Odometry` of an estimate: pose in the wall frame, twist in the body frame."""
     forward, left, spin = state.twist_body.tolist()
     pose = (*pose_numbers(*_place(state.pose_body_in_wall)), *_of_six(state.covariance[:3, :3]))
@@ -97,7 +97,8 @@ class CycleMessages:
     def of(self, record: CycleRecord) -> Iterator[Message]:
         """Messages of one cycle, generated lazily; to be called with the cycles in order."""
         for topic, t_ns, made in self._made(record):
-            yield topic, t_ns, to_cdr(made)
+            if made is not None:  # a sample without the values that its message needs
+                yield topic, t_ns, to_cdr(made)
 
     def _made(self, record: CycleRecord) -> Iterator[tuple[str, int, Any]]:
         inputs, state, ros = record.inputs, record.state, self._ros

@@ -6,6 +6,7 @@ thread.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -117,12 +118,17 @@ class MessageMaker:
 
     def pose_stamped(
         self, t_ns: int, frame: str, position_m: Sequence[float] | Array, q_wxyz: Sequence[float] | Array
-    ) -> bytes:
-        """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,), w first, as CDR."""
+    ) -> bytes | None:
+        """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,), w first, as `numbers`."""
         return self.numbers(t_ns, (frame,), pose_numbers(position_m, q_wxyz))
 
-    def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> bytes:
-        """A message of a header, texts (the header's frame, then others) and float64 values only, as CDR."""
+    def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> bytes | None:
+        """A message of a header, texts (the header's frame, then others) and float64 values only, as CDR.
+
+        None if a value is not finite: no other field could tell a reader so.
+        """
+        if not all(map(math.isfinite, values)):
+            return None
         return cdr.stamped(self.stamp(t_ns), tuple(map(self._named, texts)), values)
 
     def joints(
@@ -132,9 +138,23 @@ class MessageMaker:
         position: Array | Sequence[float] = (),
         velocity: Array | Sequence[float] = (),
         effort: Array | Sequence[float] = (),
-    ) -> bytes:
-        """`sensor_msgs/JointState` as CDR; columns are (n,), a value for each name, or (0,)."""
-        return cdr.joint_state(self.stamp(t_ns), names, (position, velocity, effort))
+    ) -> bytes | None:
+        """`sensor_msgs/JointState` as CDR; columns are (n,), a value for each name, or (0,).
+
+        A column without any number is empty, and a joint with a value that is not finite is left out. None
+        if no joint is left.
+        """
+        columns = [np.asarray(column, dtype=np.float64) for column in (position, velocity, effort)]
+        finite = [np.isfinite(column) for column in columns]
+        if not all(there.all() for there in finite):
+            given = [there for there in finite if there.any()]
+            known = np.all(given, axis=0) if given else np.zeros(len(names), dtype=bool)
+            if not known.any():
+                return None
+            names = tuple(name for name, there in zip(names, known, strict=True) if there)
+            pairs = zip(columns, finite, strict=True)
+            columns = [column[known] if there.any() else column[:0] for column, there in pairs]
+        return cdr.joint_state(self.stamp(t_ns), names, columns)
 
 
 def _floats(values: Sequence[float] | Array) -> Sequence[float]:

@@ -2,6 +2,8 @@
 
 import gc
 import os
+import resource
+import subprocess
 import sys
 
 import numpy as np
@@ -56,7 +58,7 @@ def test_the_system_is_left_as_it_was_found():
     assert before == (
         gc.isenabled(),
         sys.getswitchinterval(),
-        os.sched_getscheduler(0),
+        os.sched_getscheduler(0) & ~(0 if os.geteuid() == 0 else os.SCHED_RESET_ON_FORK),
         os.sched_getaffinity(0),
     )
 
@@ -100,3 +102,50 @@ def test_a_full_collection_that_fits_into_no_cycle_is_left_out():
         clock.t_ns += 30_000 * MS
         real_time.idle(clock.t_ns + 200 * MS)
         assert gc.get_stats()[2]["collections"] == full + 1
+
+
+AS_ANYONE = """
+import gc, os, sys
+from hil.core.clock import MonotonicClock
+from hil.loop.realtime import RealTime
+
+before = os.sched_getaffinity(0), sys.getswitchinterval()
+with RealTime(MonotonicClock(), fifo_priority=1, cpu=min(before[0])) as real_time:
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO, real_time.warnings
+    if os.geteuid() == 0:
+        os.setgroups([])
+        os.setresgid(65534, 65534, 65534)
+        os.setresuid(65534, 65534, 65534)
+assert os.sched_getscheduler(0) == os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
+assert before == (os.sched_getaffinity(0), sys.getswitchinterval())
+assert gc.isenabled() and gc.get_freeze_count() == 0
+"""
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0 and resource.getrlimit(resource.RLIMIT_RTPRIO)[1] < 1,
+    reason="neither root nor a user with a real-time priority (ulimit -r)",
+)
+def test_an_ordinary_user_gets_everything_back_but_the_flag_that_only_root_may_clear():
+    """A PermissionError at the end had kept the affinity, the collector and the interval as they were."""
+    done = subprocess.run(
+        [sys.executable, "-c", AS_ANYONE], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_setting_that_cannot_be_put_back_does_not_keep_the_others(monkeypatch, caplog):
+    """As of a policy of seccomp, or of systemd's RestrictRealtime, that came meanwhile."""
+    interval = sys.getswitchinterval()
+    with RealTime(MonotonicClock(), cpu=min(os.sched_getaffinity(0))):
+        real, denied = os.setpriority, PermissionError(1, "Operation not permitted")
+
+        def refuse(*_):
+            raise denied
+
+        monkeypatch.setattr(os, "setpriority", refuse)
+        monkeypatch.setattr(os, "sched_setaffinity", refuse)
+    assert (gc.get_freeze_count(), gc.isenabled(), sys.getswitchinterval()) == (0, True, interval)
+    assert caplog.text.count("could not be put back") >= 1
+    monkeypatch.undo()
+    assert os.setpriority is real

@@ -1,5 +1,8 @@
 """Recordings of an emulated robot, as our own writer makes them and as `rosbags` reads them."""
 
+import dataclasses
+
+import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -29,3 +32,16 @@ def messages(path):
     with AnyReader([path], default_typestore=STORE) as bag:
         for connection, log_ns, raw in bag.messages():
             yield connection.topic, log_ns, bag.deserialize(raw, connection.msgtype)
+
+
+def of_numbers(message):
+    """All numbers in a message, in no certain order."""
+    if isinstance(message, (bool, str, bytes)):
+        return []
+    if isinstance(message, (int, float, np.number)):
+        return [float(message)]
+    if isinstance(message, (list, tuple, np.ndarray)):
+        return [number for item in message for number in of_numbers(item)]
+    return [
+        number for field in dataclasses.fields(message) for number in of_numbers(getattr(message, field.name))
+    ]

@@ -13,7 +13,7 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 ROS = MessageMaker(1_700_000_000 * 10**9)
 TIMES = st.integers(0, 10**18)
 TEXTS = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=12)
-NUMBERS = st.floats(width=64)
+NUMBERS = st.floats(width=64, allow_nan=False, allow_infinity=False)
 
 
 def six(values):

@@ -95,7 +95,7 @@ class As5045(CanModel):
 
 
 def encoder_state(sample: EncoderSample, ros: MessageMaker) -> Any:
-    """`sensor_msgs/JointState` of the external encoders' own angles, NaN where one cannot be used."""
+    """`sensor_msgs/JointState` of the external encoders' own angles, without those that cannot be used."""
     return ros.joints(sample.stamp.t_ns, SERVOS[4:], position=sample.angle_rad)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -62,14 +63,28 @@ class Bno055(SerialModel):
 
 _UNKNOWN = (0.0,) * 9
 """Covariance of `sensor_msgs/Imu` that is unknown: all zeros."""
+_ABSENT = (-1.0, *(0.0,) * 8)
+"""Covariance of a value that is not measured."""
+_INSTEAD = ((0.0, 0.0, 0.0, 1.0), (0.0,) * 3, (0.0,) * 3)
+"""Orientation, rates and specific force in place of values that are not measured."""
 
 
-def imu_message(sample: ImuSample, ros: MessageMaker) -> bytes:
-    """`sensor_msgs/Imu` as CDR; acceleration with gravity (specific force), as in REP 145."""
+def imu_message(sample: ImuSample, ros: MessageMaker) -> bytes | None:
+    """`sensor_msgs/Imu` as CDR; acceleration with gravity (specific force), as in REP 145.
+
+    What is not measured has a covariance that begins with -1, as the message's definition asks. None if
+    nothing is.
+    """
     w, x, y, z = sample.quaternion_wxyz.tolist()
     rates, force = sample.gyro_rad_s.tolist(), sample.specific_force_m_s2.tolist()
-    values = (x, y, z, w, *_UNKNOWN, *rates, *_UNKNOWN, *force, *_UNKNOWN)
-    return ros.numbers(sample.stamp.t_ns, ("imu",), values)
+    parts = ((x, y, z, w), rates, force)
+    known = [all(map(math.isfinite, part)) for part in parts]
+    values = [
+        number
+        for part, there, instead in zip(parts, known, _INSTEAD, strict=True)
+        for number in (*(part if there else instead), *(_UNKNOWN if there else _ABSENT))
+    ]
+    return ros.numbers(sample.stamp.t_ns, ("imu",), values) if any(known) else None
 
 
 class Imu(DeviceKind):

@@ -103,7 +103,9 @@ _OK = Status.OK
 
 
 def _pose(sample: MocapSample, ros: MessageMaker) -> Any:
-    """`geometry_msgs/PoseStamped` in the capture frame."""
+    """`geometry_msgs/PoseStamped` in the capture frame; None where the body is not tracked."""
+    if not sample.tracking_valid:
+        return None
     return ros.pose_stamped(sample.stamp.t_ns, "mocap", sample.position_m, sample.quaternion_wxyz)
 
 
