@@ -31,11 +31,18 @@ MARKERS = (
 )
 NOT_HELD = "not_held"
 """Property of a test case whose robot lost the hold that it should have: how far it moved, and why."""
+_KEPT = "kept"
+ATTEMPT = pytest.StashKey[int]()
+"""Number of the attempt at a test, from 1: plugins such as pytest-rerunfailures repeat a test that failed."""
+OF_A_BENCH = ("bench", "calibration_version", "seed", "emulated", "fault", "controller", "held")
+"""Properties of a bench in a report."""
 _OPENED = pytest.StashKey["Bench"]()
 _PASSED = pytest.StashKey[bool]()
 _FAILED = pytest.StashKey[pytest.TestReport]()
 _STAND_INS = pytest.StashKey[bool]()
 _SEES = pytest.StashKey[bool]()
+_LEFT = pytest.StashKey["dict[str, list[str]]"]()
+_INTERRUPTED = pytest.StashKey["list[str]"]()
 
 pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck", "hil.pytest_plugin.contract")
 
@@ -148,8 +155,9 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """Print robots that are not held, files kept of failed tests, and the table of blind spots."""
-    _tell_lost(terminalreporter)
-    _tell_kept(terminalreporter)
+    _tell(terminalreporter, "robots left NOT HELD", _left(terminalreporter, NOT_HELD))
+    _tell(terminalreporter, "kept of failed tests", sorted(_left(terminalreporter, _KEPT)))
+    _tell(terminalreporter, "left when the session was interrupted", config.stash.get(_INTERRUPTED, []))
     session = terminalreporter._session
     if config.getoption("hil_blind_spots") and session is not None:
         from hil.pytest_plugin import blind_spots
@@ -165,22 +173,16 @@ def _ended(reporter: Any) -> list[pytest.TestReport]:
     return [report for report in reports if getattr(report, "when", "") == "teardown"]
 
 
-def _tell_lost(reporter: Any) -> None:
-    """Print the tests that left a robot without the hold it should have; list a repeated test once."""
-    ended = _ended(reporter)
-    lost = {r.nodeid: value for r in ended for name, value in r.user_properties if name == NOT_HELD}
-    if lost:
-        reporter.section("robots left NOT HELD")
-    for nodeid, held in lost.items():
-        reporter.write_line(f"{nodeid}: {held}")
+def _left(reporter: Any, what: str) -> list[str]:
+    """Return lines on what all attempts at the tests have left, each line once."""
+    reports = _ended(reporter)
+    return list(dict.fromkeys(line for r in reports for line in getattr(r, "hil_left", {}).get(what, ())))
 
 
-def _tell_kept(reporter: Any) -> None:
-    """Print the files kept of failed tests."""
-    kept = dict.fromkeys(line for r in _ended(reporter) for line in getattr(r, "hil_kept", ()))
-    if kept:
-        reporter.section("kept of failed tests")
-    for line in sorted(kept):
+def _tell(reporter: Any, title: str, lines: list[str]) -> None:
+    if lines:
+        reporter.section(title)
+    for line in lines:
         reporter.write_line(line)
 
 
@@ -199,7 +201,10 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip a test that this bench cannot run, with the reason."""
+    """Begin an attempt, without the properties of earlier ones; skip a test that this bench cannot run."""
+    item.stash[ATTEMPT] = item.stash.get(ATTEMPT, 0) + 1
+    if item.stash[ATTEMPT] > 1:
+        item.user_properties[:] = [p for p in item.user_properties if p[0] not in (*OF_A_BENCH, NOT_HELD)]
     if any(item.get_closest_marker(name) for name in ("needs", "fault", "real_only", "controller")):
         from hil.pytest_plugin.bench_selection import skip_where_impossible
 
@@ -252,19 +257,27 @@ def _end(item: pytest.Item, report: pytest.TestReport) -> None:
     if item.config.stash.get(_SEES, False):
         from hil.pytest_plugin.benches_of_tests import end_test
 
-        end_test(item, report, item.stash.get(_OPENED, None), item.stash.get(_FAILED, None))
+        kept = end_test(item, report, item.stash.get(_OPENED, None), item.stash.get(_FAILED, None))
+        left: dict[str, list[str]] = item.stash.setdefault(_LEFT, {NOT_HELD: [], _KEPT: []})
+        left[NOT_HELD] += [
+            f"{item.nodeid}: {why}" for name, why in report.user_properties if name == NOT_HELD
+        ]
+        left[_KEPT] += kept
+        vars(report)["hil_left"] = left  # for the terminal summary, also from an xdist worker
     keys: tuple[pytest.StashKey[Any], ...] = (_OPENED, _FAILED)
     for key in keys:
         if key in item.stash:
             del item.stash[key]
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Finish recordings that are still open."""
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """After the last teardown, finish recordings that are still open."""
     if session.config.stash.get(_SEES, False):
         from hil.pytest_plugin.benches_of_tests import end_session
 
-        end_session(session.config)
+        interrupted = exitstatus == pytest.ExitCode.INTERRUPTED
+        session.config.stash[_INTERRUPTED] = end_session(session.config, interrupted=interrupted)
 
 
 @pytest.fixture

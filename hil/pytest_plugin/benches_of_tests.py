@@ -6,6 +6,8 @@ is known when it is closed, and is in the report of the test at whose end this h
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,14 +15,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hil.core.event_rows import event_line
+from hil.pytest_plugin import ATTEMPT, OF_A_BENCH
 from hil.pytest_plugin.bench_selection import properties_of
-from hil.pytest_plugin.kept_failures import finish, record
+from hil.pytest_plugin.kept_failures import finish, record, sentence_of
 
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.recording.mcap_writer import McapRecorder
 
-_OF_A_BENCH = ("bench", "calibration_version", "seed", "emulated", "fault", "controller", "held")
+_ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a process without teardown, as a CI runner, or a terminal that is closed, sends them."""
 _OPENED = pytest.StashKey["list[OpenedBench]"]()
 
 
@@ -31,7 +35,7 @@ class OpenedBench:
     Attributes:
         bench: the bench.
         recorder: its recorder; None without `--hil-keep`.
-        failed: the first failure while it was open.
+        failed: sentence on the first failure while it was open.
         title: title of its page: the test that failed, else the test that opened it.
         reported: whether its properties are already in a report.
         told: number of its events that are already in a report.
@@ -40,7 +44,7 @@ class OpenedBench:
     bench: Bench
     recorder: McapRecorder | None
     title: str
-    failed: pytest.TestReport | None = None
+    failed: str | None = None
     reported: bool = False
     told: int = 0
 
@@ -55,18 +59,20 @@ def seen_by_benches(item: pytest.Item) -> str:
 
 
 def see(item: pytest.Item, bench: Bench) -> None:
-    """Register a bench that a test opens, and record it if requested."""
+    """Register a bench that a test opens, and record it if requested; from now on no signal skips its end."""
+    if _OPENED not in item.config.stash:
+        _end_in_order(item.config)
     seen = item.config.stash.setdefault(_OPENED, [])
     folder, recorder = item.config.getoption("hil_keep"), None
     if folder:
         others = [one.recorder.path for one in seen if one.recorder is not None]
-        recorder = record(item, bench, folder, others)
+        recorder = record(item, bench, folder, others, item.stash[ATTEMPT])
     seen.append(OpenedBench(bench, recorder, item.nodeid))
 
 
 def end_test(
     item: pytest.Item, report: pytest.TestReport, fixture: Bench | None, failed: pytest.TestReport | None
-) -> None:
+) -> list[str]:
     """Add to the last report of a test the benches that it opened or closed, and their kept files.
 
     Args:
@@ -74,13 +80,16 @@ def end_test(
         report: report of its teardown.
         fixture: its bench from the fixture `bench`, None without one.
         failed: report of the first failed phase, None if the test has passed.
+
+    Returns:
+        A line on each kept file.
     """
     seen = item.config.stash.get(_OPENED, [])
-    groups = [[entry for entry in report.user_properties if entry[0] in _OF_A_BENCH]]
+    groups = [[entry for entry in report.user_properties if entry[0] in OF_A_BENCH]]
     kept: list[str] = []
     for one in list(seen):
         if failed is not None and one.failed is None:
-            one.failed, one.title = failed, item.nodeid
+            one.failed, one.title = sentence_of(failed), item.nodeid
         news, still = one.news(), one.bench.is_open
         report.user_properties += [("event", line) for line in news]
         one.told += len(news)
@@ -95,8 +104,7 @@ def end_test(
                 kept.append(f"{one.title}: {f'no page ({text})' if name == 'no page' else text}")
                 if name != "no page":
                     report.user_properties.append((name, text))
-    if kept:
-        vars(report)["hil_kept"] = kept  # for the terminal summary, also from an xdist worker
+    return kept
 
 
 def _finished(one: OpenedBench, config: pytest.Config) -> Iterator[tuple[str, str]]:
@@ -131,8 +139,44 @@ def _add(
     report.user_properties += [(f"{name}{number}", value) for name, value in entries]
 
 
-def end_session(config: pytest.Config) -> None:
-    """Finish the recordings of benches that no test has closed."""
+def _end_in_order(config: pytest.Config) -> None:
+    """For this session, let SIGTERM and SIGHUP end it as Ctrl-C does: benches are closed, robots looked at.
+
+    Later ones are ignored. A signal that somebody handles or ignores already is left alone.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    ours = [number for number in _ENDS if signal.getsignal(number) is signal.SIG_DFL]
+
+    def end(number: int, _frame: object) -> None:
+        for each in ours:
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    def put_back() -> None:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+    for number in ours:
+        signal.signal(number, end)
+    config.add_cleanup(put_back)
+
+
+def end_session(config: pytest.Config, *, interrupted: bool) -> list[str]:
+    """Finish the recordings of benches that no test has closed.
+
+    Args:
+        config: of the session.
+        interrupted: whether the session was ended from outside: such recordings are kept.
+
+    Returns:
+        How the benches of an interrupted session were left, and what was kept of them; else nothing.
+    """
+    lines = []
     for one in config.stash.get(_OPENED, []):
+        if interrupted:
+            one.failed = one.failed or "the session was interrupted"
+            lines.append(f"{one.title}: {one.bench.held}")
         if one.recorder is not None:
-            tuple(_finished(one, config))
+            lines += [f"{one.title}: {text}" for _, text in _finished(one, config)]
+    return lines if interrupted else []

@@ -23,18 +23,21 @@ if TYPE_CHECKING:
     from hil.bench import Bench
 
 
-def record(item: pytest.Item, bench: Bench, root: str, others: Sequence[Path]) -> McapRecorder:
+def record(item: pytest.Item, bench: Bench, root: str, others: Sequence[Path], attempt: int) -> McapRecorder:
     """Start to record a bench that a test opens; return the recorder.
 
     Args:
         item: the test.
         bench: its bench, before the devices are opened.
-        root: folder of the session; the test gets a subfolder.
+        root: folder of the session; each attempt at the test gets a subfolder.
         others: unfinished recordings of this session.
+        attempt: number of the attempt, from 1; what earlier attempts have left is kept.
     """
-    folder = item.config.invocation_params.dir / root / _name(item.nodeid)
+    kept, name = item.config.invocation_params.dir / root, _name(item.nodeid)
+    folder = kept / (name if attempt == 1 else f"{name}-{attempt}")
     if all(path.parent != folder for path in others):
-        shutil.rmtree(folder, ignore_errors=True)
+        for old in [folder, *(kept.glob(f"{name}-*") if attempt == 1 else ())]:
+            shutil.rmtree(old, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     names = ("recording.mcap", *(f"recording-{k + 2}.mcap" for k in range(len(others))))
     path = next(folder / name for name in names if folder / name not in others)
@@ -45,7 +48,7 @@ def record(item: pytest.Item, bench: Bench, root: str, others: Sequence[Path]) -
 
 
 def finish(
-    recorder: McapRecorder, title: str, facts: Sequence[str], failed: pytest.TestReport | None, start: Path
+    recorder: McapRecorder, title: str, facts: Sequence[str], failed: str | None, start: Path
 ) -> Iterator[tuple[str, str]]:
     """Keep or remove the recording of a closed bench; yield kinds and paths of kept files.
 
@@ -53,7 +56,7 @@ def finish(
         recorder: recorder of the bench.
         title: title of the page.
         facts: texts on the page: how to repeat the test, and how it ended.
-        failed: report of the first failed phase, None if no test has failed.
+        failed: sentence on the first failure, None if no test has failed.
         start: folder to which paths below it are relative.
 
     Yields:
@@ -68,7 +71,7 @@ def finish(
     yield "recording", _path_of(recorder.path, start)
     page = recorder.path.with_suffix(".html")
     try:
-        _write_page(page, recorder.path, title, facts, _sentence(failed))
+        _write_page(page, recorder.path, title, facts, failed)
     except HilError as error:
         yield "no page", str(error)
     else:
@@ -85,7 +88,7 @@ def _name(nodeid: str) -> str:
     return f"{slug(nodeid.rpartition('/')[2])}-{hashlib.sha256(nodeid.encode()).hexdigest()[:6]}"
 
 
-def _sentence(failed: pytest.TestReport) -> str:
+def sentence_of(failed: pytest.TestReport) -> str:
     """Return where and how a test failed, on one line."""
     crash = getattr(failed.longrepr, "reprcrash", None)
     text = failed.longreprtext if crash is None else f"{crash.path}:{crash.lineno}: {crash.message}"
