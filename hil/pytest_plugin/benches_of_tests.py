@@ -6,6 +6,7 @@ is known when it is closed, and is in the report of the test at whose end this h
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
@@ -148,7 +149,13 @@ def _end_in_order(config: pytest.Config) -> None:
         return
     ours = [number for number in _ENDS if signal.getsignal(number) is signal.SIG_DFL]
 
+    process = os.getpid()
+
     def end(number: int, _frame: object) -> None:
+        if os.getpid() != process:  # a child that was forked meanwhile ends as it would without this
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+            return
         for each in ours:
             signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt(signal.Signals(number).name)
