@@ -104,7 +104,7 @@ class RecordingFile:
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
-        from mcap.writer import CompressionType, Writer
+        from mcap.writer import CompressionType, IndexType, Writer
 
         self._offset = recorded_offset(header)
         self._wall_ns = 0 if self._offset is None else self._offset.offset_ns
@@ -119,7 +119,10 @@ class RecordingFile:
         self._flushed_ns: int | None = None
         self._log_ns = -1
         self.flushed = self.unflushed = 0
-        self._mcap = Writer(self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30)
+        indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA  # there are no attachments
+        self._mcap = Writer(
+            self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30, index_types=indexes
+        )
         self._mcap.start(profile="ros2", library=LIBRARY)
         self._mcap.add_metadata(
             METADATA,

@@ -43,7 +43,7 @@ def test_each_attempt_has_its_own_properties_and_its_own_recording(pytester, wor
     pytester.makepyfile(test_mine=FLAKY)
     options = ("--reruns", "1", "--junitxml=junit.xml", "-p", "no:cacheprovider", "--hil-keep", "kept")
     result = pytester.runpytest_subprocess(*options, *workers)
-    result.assert_outcomes(passed=1, failed=1, rerun=2, warnings=1)
+    assert result.parseoutcomes() == {"passed": 1, "failed": 1, "rerun": 2, "warnings": 1}
     found = properties(pytester.path / "junit.xml")
     assert found["test_flaky"]["held"] == ["HELD"]
     assert found["test_flaky"]["seed"] == ["0"]
@@ -114,4 +114,4 @@ def test_a_session_that_is_ended_from_outside_leaves_the_robot_held(pytester, na
         (page,) = pytester.path.glob("kept/*/recording.html")
         assert str(recording.relative_to(pytester.path)) in said
         assert str(page.relative_to(pytester.path)) in said
-        assert len(open_recording(recording).runs) > 1
+        assert len(open_recording(recording).run(0).records) > 5

@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import ChunkIndex, Statistics
+from mcap.records import ChunkIndex, Statistics, SummaryOffset
 from mcap.stream_reader import StreamReader
 from mcap_cases import driving_record
 from recorded import HEADER, messages, recorded
@@ -58,6 +58,8 @@ def test_mcaps_own_reader_finds_every_sum_index_and_count_right(recording):
     assert set(summary.channels) == set(statistics.channel_message_counts) | {
         k for k, c in summary.channels.items() if c.id not in statistics.channel_message_counts
     }
+    offsets = [r for r in records if isinstance(r, SummaryOffset)]
+    assert all(one.group_length > 0 for one in offsets)  # an empty group is an error to `pymcap-cli doctor`
     assert all(c.schema_id in summary.schemas for c in summary.channels.values())
 
 
