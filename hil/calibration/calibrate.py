@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
+from hil.calibration.against_nominal import AgainstNominal, against_nominal
 from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.cross_validation import (
     Table,
@@ -31,8 +32,8 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks, reduce_recordings
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal_robot import Nominal
-from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest
+from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.wrong_signs import LEAVE_OUT, NO_MOTION, contradictions, is_at_rest
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import WHOLE, Report, silent
 
@@ -62,6 +63,7 @@ class Calibration:
     cost_before: float
     cost_after: float
     validation: dict[str, Table]
+    compared: AgainstNominal
     floor: dict[str, float]
     recordings: tuple[Recording, ...]
     warnings: tuple[str, ...]
@@ -162,8 +164,9 @@ class Calibration:
             "rejected_because": dict(self.rejected),
             "common_steering_zero_rad": common_zero_rad(self.fit),
             "validation": self.validation,
+            "compared_with_nominal": self.compared.to_json(),
             "repeatability_m": {k: None if math.isnan(v) else v for k, v in self.floor.items()},
-            "verdict": "PASS" if self.explains else "FAIL",
+            "verdict": "PASS" if self.explains and not self.compared.worse else "FAIL",
             "warnings": list(self.warnings),
             "evaluations": self.evaluations,
             "wall_s": self.wall_s,
@@ -212,6 +215,9 @@ def calibrate(
     begin_ns = clock.now_ns()
     robot = nominal if nominal is not None else Nominal()
     bad = corrupt(recordings, robot)
+    if len(bad) == len(recordings):
+        name, why = next(iter(bad.items()))
+        raise DataError(name, f"{why}; none of {len(bad)} recordings is usable", remedy=LEAVE_OUT)
     recordings = [r for r in recordings if r.name not in bad]
     rejected = dict(unusable or {}) | bad
     if choice is None and validate and setting.choose_model and can_choose(recordings):
@@ -233,13 +239,9 @@ def calibrate(
     fitted_ns = clock.now_ns()
     paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None
     applied = deployed(recordings, found.geometry, cad, twist_between(found, cad), setting)
-    tables: dict[str, Table] = {}
+    nothing, tables = score(recordings, cad, setting), dict[str, Table]()
     if validate:
-        tables = {
-            "nominal": score(recordings, cad, setting),
-            "in_sample": applied.parameters,
-            "deployed_as_twist": applied.twist,
-        }
+        tables = {"nominal": nothing, "in_sample": applied.parameters, "deployed_as_twist": applied.twist}
         tables |= _cross_validation(recordings, blocks, cad, found, paper, choice, report)
     return Calibration(
         method=method,
@@ -253,6 +255,7 @@ def calibrate(
         cost_before=cost(before),
         cost_after=cost(after),
         validation=tables,
+        compared=against_nominal({"in_sample": applied.parameters} | tables, nothing, lever_m(cad)),
         floor=repeatability(recordings),
         recordings=tuple(recordings),
         warnings=(*left_out_because(rejected), *caveats(recordings, found, spectrum, paper, tables, applied)),

@@ -97,7 +97,7 @@ class CalibrationFile(BaseModel):
     made_for: MadeFor | None = None
     robot: Identity | None = None
     tyres: Tyres | None = None
-    driven_m: dict[str, float] = {}
+    driven_m: dict[str, Any] = {}
 
     @model_validator(mode="after")
     def _tyres_known(self) -> CalibrationFile:

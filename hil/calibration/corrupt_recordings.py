@@ -1,15 +1,14 @@
 """Finds corrupt recordings: those that contradict themselves, or contradict all others.
 
 Each recording is first checked by itself: jumps of the ground truth, wheels that do not move as those of one
-body, wrong signs. Then it is compared with the others: clock offset, and residual of a robust fit. An effect
+body, wrong signs. Then it is compared with the others by the residual of a robust fit. An effect
 that at least half of the recordings show belongs to the robot, its bench file or the order of columns; no
-recording is left out for it.
+recording is left out for it. Only a jump of the ground truth is corrupt however many recordings have one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,8 +19,6 @@ from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.odd_wheels import odd_wheels
-from hil.datasets.time_offset import time_offset_s
-from hil.datasets.truth_jumps import fastest_m_s, find_jumps
 from hil.datasets.wrong_signs import (
     NO_MOTION,
     RATES_AGAINST,
@@ -38,7 +35,6 @@ _STRIDE_S, _ROLLING = 0.5, 0.3
 _APART, _APART_WAY = 0.15, 0.1
 _TOGETHER = 0.08
 _WHEELS = ("front left", "back left", "back right", "front right")
-_LATE_S, _MISSED = 0.15, 0.3
 _FEWEST = 3
 _TIMES_TYPICAL, _LEAST_MISFIT, _MISSED_TOO = 8.0, 12.0, 0.06
 _TIMES_FAR, _FAR_MISFIT = 25.0, 50.0
@@ -52,10 +48,10 @@ def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]
         recordings: runs of one robot.
         nominal: nominal robot.
     """
-    found: Reasons = {}
-    for look in (_at_rest, _leaping, _wrong_signs, _apart, _other_clocks, _misfits):
+    found: Reasons = {k: one.contradictions[0] for k, one in enumerate(recordings) if one.contradictions}
+    for look in (_at_rest, _wrong_signs, _apart, _misfits):
         left = [k for k in range(len(recordings)) if k not in found]
-        reported = look([recordings[k] for k in left], nominal)
+        reported = look([recordings[k] for k in left], nominal) if left else {}
         if len(reported) < len(left):
             found |= {left[k]: why for k, why in reported.items()}
     return {recordings[k].name: found[k] for k in sorted(found)}
@@ -64,18 +60,6 @@ def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]
 def _at_rest(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
     """Recordings in which no wheel turns."""
     return {k: NO_MOTION for k, one in enumerate(recordings) if is_at_rest(one.wheel_angle_rad)}
-
-
-def _leaping(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """Find ground truth that jumps and stays at the new place."""
-    out = {}
-    for k, one in enumerate(recordings):
-        speed_m_s = fastest_m_s(one.t_s, one.wheel_angle_rad, nominal.radius_m)
-        lasting = find_jumps(one.truth_t_s, one.truth_pose, speed_m_s, lever_m(nominal.geometry)).lasting
-        if lasting:
-            at_s, leap_m = lasting[0]
-            out[k] = f"its ground truth leaps by {leap_m:.2g} m {at_s:.1f} s after its begin, and stays there"
-    return out
 
 
 def _wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
@@ -155,29 +139,6 @@ def _as_many_alike(wrong: Bools, turning: Array) -> bool:
     """Whether at least two, and at least half, of the recordings that could show the fault have it."""
     right = ~wrong & (turning >= 0.5 * turning[wrong].min())
     return int(wrong.sum()) >= max(2, int(right.sum()))
-
-
-def _other_clocks(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """Find ground truth with a clock offset 0.15 s off the typical one that is otherwise right."""
-    late_s = np.array([np.nan if (s := time_offset_s(one)) is None else s for one in recordings])
-    known = np.count_nonzero(np.isfinite(late_s))
-    if known < _FEWEST:
-        return {}
-    typical_s = float(np.nanmedian(late_s))
-    wrong = [int(k) for k in np.flatnonzero(np.abs(late_s - typical_s) > _LATE_S)]
-    if not wrong or 2 * len(wrong) >= known:
-        return {}
-    shifted = [replace(recordings[k], truth_t_s=recordings[k].truth_t_s - late_s[k]) for k in wrong]
-    missed = missed_shares(shifted, nominal.geometry)
-    out = {}
-    for k, share in zip(wrong, missed, strict=True):
-        word = "later" if late_s[k] > 0.0 else "earlier"
-        if share < _MISSED:
-            out[k] = (
-                f"its ground truth moves {abs(late_s[k]):.2f} s {word} than its wheels, in the typical "
-                f"recording {abs(typical_s):.2f} s"
-            )
-    return out
 
 
 def _misfits(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:

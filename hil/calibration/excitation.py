@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from hil.calibration.motion_models import make_model
 from hil.core.errors import DataError
-from hil.core.geometry import Array
+from hil.core.geometry import Array, Bools
 from hil.datasets.blocks import Blocks
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.wrong_signs import CHECK_COLUMNS
@@ -30,32 +31,54 @@ OTHER_ROBOT = f"{BENCH_FILE}; else {CHECK_COLUMNS}"
 
 @dataclass(frozen=True)
 class Driven:
-    """Distance driven in each body direction, independently of the other two.
+    """Distance that recordings drive, by direction of the body's motion.
+
+    A direction counts as far as it is driven independently of the others: a circle drives ahead and turns at
+    once, so one circle excites neither alone, but itself; one of each sense excites both.
 
     Attributes:
-        way_m: (3,) forward, sideways, turning, m; turning is converted with the distance of the wheels. A
-            circle drives ahead and turns at once: one circle excites neither alone, one of each sense both.
-        total_m: whole distance, m.
+        moment_m: (3, 3) sum of d d' / |d| over all displacements d = (forward, sideways, turning), m; turning
+            is converted with the distance of the wheels from the middle.
     """
 
-    way_m: Array
-    total_m: float
+    moment_m: Array
+
+    @property
+    def total_m(self) -> float:
+        """Whole distance, m."""
+        return float(np.trace(self.moment_m))
+
+    def along(self, ways: Array) -> Array:
+        """Distance (n,) driven independently in the directions of displacements (n, 3), m."""
+        least = 1e-9 * max(self.total_m, 1.0) * np.eye(3)
+        size = np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12)
+        leverage = np.einsum("ni,ij,nj->n", ways / size, np.linalg.inv(self.moment_m + least), ways / size)
+        return np.asarray(1.0 / np.maximum(leverage, 1e-30), dtype=np.float64)
+
+    def covers(self, ways: Array) -> Bools:
+        """Whether at least a twentieth of the whole distance is along each of displacements (n, 3)."""
+        return np.asarray(self.along(ways) >= _SHARE * self.total_m, dtype=np.bool_)
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Directions with less than a twentieth of the whole distance."""
+        """Directions that are not covered on their own."""
         return tuple(
-            name for name, way_m in zip(DIRECTIONS, self.way_m, strict=True) if way_m < _SHARE * self.total_m
+            name for name, known in zip(DIRECTIONS, self.covers(np.eye(3)), strict=True) if not known
         )
 
-    def to_json(self) -> dict[str, float]:
-        """`{"forward": m, "sideways": m, "turning": m, "total": m}`."""
-        return dict(zip((*DIRECTIONS, "total"), [*self.way_m.tolist(), self.total_m], strict=True))
+    def to_json(self) -> dict[str, Any]:
+        """`{"forward": m, "sideways": m, "turning": m, "total": m, "moment": 3x3}`."""
+        ways_m = self.along(np.eye(3)).tolist()
+        return dict(
+            zip(
+                (*DIRECTIONS, "total", "moment"), [*ways_m, self.total_m, self.moment_m.tolist()], strict=True
+            )
+        )
 
     @classmethod
-    def from_json(cls, ways_m: Mapping[str, float]) -> Driven:
+    def from_json(cls, ways_m: Mapping[str, Any]) -> Driven:
         """Inverse of `to_json`."""
-        return cls(np.array([ways_m[name] for name in DIRECTIONS]), ways_m["total"])
+        return cls(np.array(ways_m["moment"], dtype=np.float64))
 
 
 def driven(blocks: Blocks, nominal: WheelGeometry) -> Driven:
@@ -63,10 +86,7 @@ def driven(blocks: Blocks, nominal: WheelGeometry) -> Driven:
     step_m = _steps(blocks, nominal).reshape(-1, 3) * _levers(nominal)
     size = np.sqrt(np.sum(step_m**2, axis=1))
     moving = size > 0.0
-    total_m = float(size.sum())
-    moment = step_m[moving].T @ (step_m[moving] / size[moving, None])
-    alone = 1.0 / np.diag(np.linalg.inv(moment + 1e-9 * max(total_m, 1.0) * np.eye(3)))
-    return Driven(np.asarray(alone, dtype=np.float64), total_m)
+    return Driven(np.asarray(step_m[moving].T @ (step_m[moving] / size[moving, None]), dtype=np.float64))
 
 
 def _levers(nominal: WheelGeometry) -> Array:
@@ -119,17 +139,18 @@ def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
 
 
 def undriven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> dict[str, tuple[str, ...]]:
-    """Motions, with the directions, that drive where the recordings of a calibration did not.
+    """Motions that a calibration's recordings did not drive, with their directions.
 
     Args:
         blocks: recordings to check.
         nominal: nominal geometry.
         known: distances of the calibration's own recordings.
     """
-    ways_m = np.abs(_steps(blocks, nominal)).sum(axis=1) * _levers(nominal)
     out: dict[str, tuple[str, ...]] = {}
-    for motion, way_m in zip(blocks.motions, ways_m, strict=True):
-        gone = [n for n, w in zip(DIRECTIONS, way_m, strict=True) if w > _OWN_SHARE * way_m.sum()]
-        if found := tuple(n for n in gone if n in known.missing):
-            out[motion] = found
+    for motion, step in zip(blocks.motions, _steps(blocks, nominal), strict=True):
+        ways_m = step * _levers(nominal)
+        size = np.linalg.norm(ways_m, axis=1)
+        if size[~known.covers(ways_m)].sum() > _OWN_SHARE * size.sum():
+            shares = np.abs(ways_m).sum(axis=0) / np.abs(ways_m).sum()
+            out[motion] = tuple(n for n, share in zip(DIRECTIONS, shares, strict=True) if share > _OWN_SHARE)
     return out

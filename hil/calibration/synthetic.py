@@ -3,10 +3,10 @@
 The robot is commanded through the nominal inverse kinematics, but has its own wheel positions, radii,
 steering zeros and wheel loads. Its motion follows from force balance at the four contacts, never from the
 odometry formula. Under `viscous` contact each wheel pulls in proportion to its load and slip; under `coulomb`
-contact the force does not grow with slip; under `elastic` contact each tyre is a spring that slip winds up
-and rolling unwinds. The recorded signals have the errors measured on the real robot (arXiv 2509.04016):
-12-bit counts, a velocity register that lags 52 ms and truncates half a unit, steering dither, capture noise,
-stamp jitter.
+contact the force does not grow with slip; under `creep` contact it grows with slip per distance rolled; under
+`elastic` contact each tyre is a spring that slip winds up and rolling unwinds. The recorded signals have the
+errors measured on the real robot (arXiv 2509.04016): 12-bit counts, a velocity register that lags 52 ms and
+truncates half a unit, steering dither, capture noise, stamp jitter.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
-from hil.robot.contact_laws import least_dissipation
+from hil.robot.contact_laws import creep_motion, least_dissipation
 from hil.robot.kinematics import WheelGeometry, inverse, projection, wheel_vectors
 from hil.robot.odometry import integrate
 
@@ -44,8 +44,8 @@ class HiddenRobot:
     Attributes:
         geometry: true wheel positions, radii and steering zeros.
         load: (4,) relative normal loads, mean 1.
-        contact: `viscous`, `coulomb` or `elastic`.
-        ratio: sideways over lengthwise stiffness of the springs of `elastic`.
+        contact: `viscous`, `coulomb`, `creep` or `elastic`.
+        ratio: sideways over lengthwise stiffness of the tyres of `creep` and `elastic`.
         nominal: nominal robot, with which the commands are computed.
     """
 
@@ -76,7 +76,7 @@ def hidden_robot(seed: int, *, contact: str = "viscous", nominal: Nominal | None
 
     Args:
         seed: seed of the random numbers.
-        contact: `viscous`, `coulomb` or `elastic`.
+        contact: `viscous`, `coulomb`, `creep` or `elastic`.
         nominal: nominal robot, the CAD model by default; loads vary about its loads.
     """
     rng = np.random.default_rng([seed, 1])
@@ -219,10 +219,13 @@ def _lag(values: Array, tau_s: float) -> Array:
 
 def _contact(robot: HiddenRobot, u: Array) -> Array:
     p = projection(robot.geometry.x_m, robot.geometry.y_m)
-    if robot.contact == "coulomb":
+    if robot.contact in ("coulomb", "creep"):
         moving = np.any(np.abs(u) > 1e-9, axis=1)
         body = np.zeros((len(u), 3))
-        body[moving] = least_dissipation(p, u[moving], robot.load)
+        if robot.contact == "coulomb":
+            body[moving] = least_dissipation(p, u[moving], robot.load)
+        else:
+            body[moving] = creep_motion(p, u[moving], robot.load, robot.ratio)
         return body
     if robot.contact == "elastic":
         return _springs(robot, p, u)

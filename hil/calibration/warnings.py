@@ -16,7 +16,7 @@ from hil.datasets.dataset import Recording
 from hil.datasets.initial_rest import start_of
 from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S
-from hil.datasets.time_offset import different_clocks
+from hil.datasets.truth_correction import notes_of
 from hil.datasets.wrong_signs import CHECK_COLUMNS, contradictions
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
@@ -28,7 +28,7 @@ RECORD = {
 }
 _CLEARLY_M, _CLEARLY_RAD = 2e-3, float(np.radians(0.5))
 _MUCH = 1.5
-_LENGTHS, _COMMON_RAD = 12, 0.02
+_LENGTHS = 12
 _UNEXPLAINED = 0.2
 HARDLY = 0.05
 _NO_WORKSHOP = (
@@ -67,7 +67,6 @@ def caveats(
         )
     out += motions_apart(found)
     out += unexplained(found)
-    out += turned_in_common(found)
     if spectrum.at_bound:
         far = "" if found.problem.setting.bounds is not None else _NO_WORKSHOP
         out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound) + far)
@@ -114,9 +113,9 @@ def motions_apart(found: Fit) -> list[str]:
 
 
 def warnings_of(recordings: Sequence[Recording]) -> list[str]:
-    """Warnings of the recordings themselves: damage, repairs, a start in motion, clock offsets."""
+    """Warnings of the recordings themselves: damage, repairs, a start in motion, corrections."""
     lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
-    return [*lines, *different_clocks(recordings)]
+    return [*lines, *notes_of(recordings)]
 
 
 def crossed_gaps(recordings: Sequence[Recording]) -> list[str]:
@@ -150,21 +149,6 @@ def common_zero_rad(found: Fit) -> float | None:
     """Mean deviation of the steering zeros from nominal, rad; None where they were not fitted."""
     zeros = found.solution.z[_LENGTHS:]
     return float(np.mean(zeros - found.problem.nominal[_LENGTHS:])) if len(zeros) else None
-
-
-def turned_in_common(found: Fit) -> list[str]:
-    """One line if all steering zeros are off alike, as a heading offset of the ground truth causes."""
-    common = common_zero_rad(found)
-    if common is None or abs(common) < _COMMON_RAD:
-        return []
-    zeros = found.solution.z[_LENGTHS:] - found.problem.nominal[_LENGTHS:]
-    if np.max(np.abs(zeros - common)) > 0.5 * abs(common):
-        return []
-    return [
-        f"all four steering zeros are off by much the same, {common:.3f} rad in the mean: a heading of the "
-        f"ground truth that is {common:.3f} rad off the robot's has this effect; set the heading of its "
-        "body, or mount_rotation_wxyz of [truth] in the topic mapping, before this is taken for steering"
-    ]
 
 
 def extrapolating(found: Fit) -> list[str]:

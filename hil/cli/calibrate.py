@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     help="Hard bounds instead of the prior: share of a length, rad of a zero, e.g. 0.05.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the stochastic methods.")
+@click.option("--accept-worse", is_flag=True, help="Write a result that is worse than nominal odometry.")
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
 @BENCH
 @click.option("--out", type=OUT, help="Write calibration.toml here.")
@@ -54,6 +55,7 @@ def command(
     signal: str | None,
     bounds: float | None,
     seed: int,
+    accept_worse: bool,
     no_validation: bool,
     bench: str | None,
     out: Path | None,
@@ -63,7 +65,8 @@ def command(
 ) -> int:
     """Calibrate the odometry on recordings with ground truth.
 
-    A result that does not explain the recordings is not written, and the exit code is 1. Corrupt recordings
+    A result that does not explain the recordings, or that is worse than nominal odometry on recordings that
+    the fit has not seen, is not written, and the exit code is 1. Corrupt recordings
     are named and left out. A damaged one is used as far as it can be read, one that cannot be used is left
     out, and the exit code is 2.
 
@@ -100,16 +103,19 @@ def command(
         )
     for line in result.warnings:
         click.echo(f"warning: {line}", err=True)
-    if out is not None and result.explains:
-        _write(out, result, config)
+    failed = "" if result.explains else "the result does not explain the recordings"
+    if result.compared.worse and not failed and not accept_worse:
+        failed = f"{result.compared.in_words()}; --accept-worse writes it all the same"
+    if failed:
+        click.echo(f"warning: {out or 'a calibration file'} is not written: {failed}", err=True)
     elif out is not None:
-        click.echo(f"warning: {out} is not written: the result does not explain the recordings", err=True)
+        _write(out, result, config)
     if plots is not None:
         from hil.report.calibration_page import write_calibration_page
 
         click.echo(f"page: {write_calibration_page(plots, result)}", err=True)
     click.echo(json.dumps(result.to_json(), allow_nan=False) if as_json else _text(result))
-    if not result.explains:
+    if failed:
         return EXIT_LIMIT_FAILED
     return EXIT_USAGE if unusable or any(r.problems for r in recordings) else EXIT_PASS
 
@@ -185,6 +191,7 @@ def _text(result: Calibration) -> str:
         f"{spectrum.determined_without_contact_law} of them without a law of contact:"
     )
     lines += [f"  {words}" for words in spectrum.directions]
+    lines.append(result.compared.in_words())
     if result.validation:
         lines.append(f"{'position RMSE mm / heading RMSE deg':36}{'mean':>15}{'worst motion':>15}")
     for name, table in result.validation.items():

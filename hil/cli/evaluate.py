@@ -71,7 +71,7 @@ def command(
     from hil.calibration.warnings import crossed_gaps, warnings_of
     from hil.core.errors import UsageError
     from hil.datasets.read import read_recordings
-    from hil.datasets.wrong_signs import contradictions_and_warnings, without_motion
+    from hil.datasets.wrong_signs import contradictions, without_motion
     from hil.support.atomic_files import check_folder
 
     if deploy == "twist" and calibration is None:
@@ -104,10 +104,9 @@ def command(
     warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     geometry = robot.geometry if file is None else file.geometry
-    contradicted, turned = contradictions_and_warnings(recordings, geometry)
+    contradicted = contradictions(recordings, geometry)
     refused = without_motion(recordings) + contradicted
     warnings += _doubts(recordings, file, robot, used_signal, deploy, bool(contradicted)) + refused
-    warnings += turned
     table["warnings"] = warnings
     table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems] + refused
     for line in warnings:
@@ -172,7 +171,7 @@ def _doubts(
     from hil.datasets.blocks import reduce_recordings
 
     blocks = reduce_recordings(recordings, _BLOCK_S, signal)
-    found = mismatch(blocks, robot)
+    found = "" if any(one.contradictions for one in recordings) else mismatch(blocks, robot)
     out = [f"{found}; {BENCH_FILE if contradicted else OTHER_ROBOT}"] if found else []
     if file is None:
         return out

@@ -197,8 +197,8 @@ def _read(
     from hil.calibration.usability_check import check_not_failed
     from hil.datasets.dataset import Recording
     from hil.datasets.rosbag import is_bag
-    from hil.datasets.time_offset import different_clocks
-    from hil.datasets.wrong_signs import NO_MOTION, contradictions_and_warnings, is_at_rest
+    from hil.datasets.truth_correction import notes_of
+    from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest
     from hil.estimator.tuning import TruthRun
     from hil.loop.driven_motion import Motion
     from hil.replay.estimator_comparison import truth_of
@@ -236,9 +236,8 @@ def _read(
     if config is None:
         raise UsageError("no recording given")
     if geometry is not None:
-        contradicted, turned = contradictions_and_warnings(tables, geometry)
-        findings.refused += contradicted
-        findings.warnings += [*different_clocks(tables), *turned]
+        findings.refused += contradictions(tables, geometry)
+        findings.warnings += notes_of(tables)
     return config, runs
 
 

@@ -21,6 +21,7 @@ from hil.core.geometry import Array, Bools, quat_conjugate, quat_multiply, quat_
 from hil.datasets.cleaning import NO_HEADING, UNIT_QUATERNION
 from hil.datasets.partial_rows import at_instants
 from hil.datasets.topic_map import TruthTopic
+from hil.datasets.truth_plane import check_plane
 
 _UNKNOWN = "ground-truth messages left out because a covariance of -1 marks their pose as unknown"
 _PLANAR = (0, 7, 35)
@@ -43,6 +44,7 @@ class TruthPoses:
         self._back = quat_conjugate(topic.mount_rotation_wxyz)
         self._known: list[bool] = []
         self._poses: list[list[float]] = []
+        self._in_space: list[list[float]] = []
         self._repairs = dict.fromkeys((NO_HEADING, _UNKNOWN), 0)
 
     def add(self, message: Any) -> None:
@@ -76,6 +78,9 @@ class TruthPoses:
                 remedy="let the capture system track a rigid body of three markers, and name its topic",
             )
         poses = np.array(self._poses, dtype=np.float64).reshape(-1, 3)
+        in_space = np.array(self._in_space, dtype=np.float64).reshape(-1, 7)
+        where = f"{self._path}: {self._topic.topic}"
+        check_plane(where, in_space[:, :3], in_space[:, 3:], f'up_axis of [truth] is "{self._topic.up_axis}"')
         left_out = {what: number for what, number in self._repairs.items() if number}
         return np.array(self._known, dtype=np.bool_), poses, left_out
 
@@ -83,7 +88,8 @@ class TruthPoses:
         if self._y_up:
             at, q = (at[0], -at[2], at[1]), (q[0], q[1], -q[3], q[2])
         turned = quat_multiply(q, self._back)
-        x_m, y_m, _ = np.asarray(at) - quat_rotate(turned, self._topic.mount_position_m)
+        x_m, y_m, z_m = np.asarray(at) - quat_rotate(turned, self._topic.mount_position_m)
+        self._in_space.append([float(x_m), float(y_m), float(z_m), *map(float, turned)])
         return [float(x_m), float(y_m), yaw_of_quat(turned)]
 
 

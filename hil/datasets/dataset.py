@@ -16,10 +16,10 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
 from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
 from hil.datasets.held_rows import without_held
-from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.partial_rows import completed
 from hil.datasets.segments import in_words, split
-from hil.datasets.truth_jumps import fastest_m_s, find_jumps
+from hil.datasets.truth_jumps import WheelMotion, find_jumps
 from hil.datasets.unit_check import check_repeats, check_stamp_jumps, check_time, check_units, rolled_m
 from hil.datasets.unit_factors import check_rates, check_steering_unit, check_ways
 from hil.datasets.wheel_turns import check_steering, whole_turns, without_turns
@@ -55,6 +55,7 @@ _FROZEN_S = 0.5
 _WHEEL_COLUMNS = ("t", *(f"phi{i}" for i in range(1, 5)), *(f"delta{i}" for i in range(1, 5)))
 _TRUTH_COLUMNS = ("t", "x", "y", "theta")
 _MIN_SHARED = 2
+_SPANS = ((3.15576e7, "years"), (86400.0, "days"), (3600.0, "hours"), (1.0, "s"))
 _ROTATION_RAD = 5.0
 _ROTATION_PATH_M = 0.3
 
@@ -72,6 +73,8 @@ class Recording:
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
         repairs: counts of repairs by name.
         problems: parts of its file that could not be read.
+        contradictions: what of its ground truth no robot can have done.
+        notes: corrections of its ground truth, see `hil.datasets.truth_correction`.
         nominal: nominal robot that it was read for.
         later: parts after each step back of the stamps, as recordings of their own.
         derived: cache of results computed from the recording alone; empty in copies made by `replace`.
@@ -91,6 +94,8 @@ class Recording:
     sha256: tuple[str, ...] = ()
     repairs: Mapping[str, int] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     nominal: Nominal = field(default_factory=Nominal)
     later: tuple[Recording, ...] = ()
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -181,8 +186,7 @@ def _build(
         )
     begin_s, end_s = max(t_s[0], truth_t_s[0]), min(t_s[-1], truth_t_s[-1])
     if end_s - begin_s < 1.0:
-        shared_s = max(end_s - begin_s, 0.0)
-        raise DataError(where, f"wheels and ground truth share {shared_s:.2f} s", expected=">= 1 s")
+        raise _apart(where, float(truth_t_s[0] - t_s[0]), float(end_s - begin_s))
     for stamps in (t_s, truth_t_s):
         check_stamp_jumps(where, stamps)
     fresh, w = without_held(t_s, w, repairs)
@@ -202,24 +206,31 @@ def _build(
             expected="a source that goes on to the end",
             remedy="look at what the capture system sent",
         )
-    keep = _without_jumps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
+    raw, steering = w[:, 4:8], without_turns(w[:, 4:8])
+    by_wheels = WheelMotion.of(t_s, angle, steering, robot)
+    keep, lasting = _without_jumps(where, truth_t_s, pose, by_wheels, repairs)
     truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
     count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
     count_gaps(repairs, truth_t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
     heading = pose[:, 2]
     pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
-    by_wheels, by_truth = ((t >= begin_s) & (t <= end_s) for t in (t_s, truth_t_s))
-    if min(np.count_nonzero(by_wheels), np.count_nonzero(by_truth)) < _MIN_SHARED:
+    shared, truth_shared = ((t >= begin_s) & (t <= end_s) for t in (t_s, truth_t_s))
+    if min(np.count_nonzero(shared), np.count_nonzero(truth_shared)) < _MIN_SHARED:
         raise DataError(
             where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
         )
-    raw, steering = w[:, 4:8], without_turns(w[:, 4:8])
     as_read = np.column_stack([pose[:, :2], heading])
     check_ways(where, Drive(t_s, w[:, :4], steering, truth_t_s, as_read), robot)
     if turns.refusal is not None:
         raise turns.refusal
     check_units(
-        where, angle[by_wheels], raw[by_wheels], truth_t_s[by_truth], pose[by_truth], heading[by_truth], robot
+        where,
+        angle[shared],
+        raw[shared],
+        truth_t_s[truth_shared],
+        pose[truth_shared],
+        heading[truth_shared],
+        robot,
     )
     check_steering_unit(where, Drive(t_s, angle, steering, truth_t_s, pose), raw, robot)
     check_steering(where, t_s, steering, angle)
@@ -236,16 +247,35 @@ def _build(
         receive_s=receive_s,
         truth_receive_s=truth_receive_s,
         repairs=repairs,
+        contradictions=lasting,
         nominal=robot,
     )
 
 
+def _apart(where: str, later_s: float, shared_s: float) -> DataError:
+    """Error of logs that share less than a second, with the time between their first rows."""
+    size, unit = next((size, unit) for size, unit in _SPANS if abs(later_s) >= size or size == 1.0)
+    word = "after" if later_s > 0 else "before"
+    return DataError(
+        where,
+        f"wheels and ground truth share {max(shared_s, 0.0):.2f} s: the ground truth begins "
+        f"{abs(later_s):.3f} s ({abs(later_s) / size:.3g} {unit}) {word} the wheels",
+        expected="stamps of one clock, >= 1 s of both",
+        remedy=f"if both began together, subtract {later_s:.3f} s from the stamps of the ground truth; else "
+        "stamp both by the computer that records them",
+    )
+
+
 def _without_jumps(
-    where: str, t_s: Array, pose: Array, speed_m_s: float, robot: Nominal, repairs: dict[str, int]
-) -> Bools:
-    """Mask of ground-truth rows (m,) to keep; raises `DataError` where that is less than half of them."""
-    found = find_jumps(t_s, pose, speed_m_s, lever_m(robot.geometry))
-    dropped = np.count_nonzero(~found.keep)
+    where: str, t_s: Array, pose: Array, wheels: WheelMotion, repairs: dict[str, int]
+) -> tuple[Bools, tuple[str, ...]]:
+    """Mask of ground-truth rows (m,) to keep, and the first jump that lasts, in words.
+
+    Raises:
+        DataError: the mask is of less than half of the rows.
+    """
+    found = find_jumps(t_s, pose, wheels)
+    dropped = np.count_nonzero(~found.keep) - found.resting
     if 2 * dropped > len(t_s):
         raise DataError(
             where,
@@ -254,14 +284,9 @@ def _without_jumps(
             remedy="look at what the capture system tracked",
         )
     count(repairs, "ground-truth rows that leap away and back dropped", dropped)
-    if found.lasting:
-        at_s, leap_m = found.lasting[0]
-        what = (
-            f"ground-truth leaps that last left as they are (first {at_s:.1f} s after its begin, by "
-            f"{leap_m:.2g} m): leave the recording out, or cut it there"
-        )
-        count(repairs, what, len(found.lasting))
-    return found.keep
+    count(repairs, "ground-truth rows beyond a leap, in which the robot rests, dropped", found.resting)
+    more = f" (the first of {len(found.lasting)} such steps)" if len(found.lasting) > 1 else ""
+    return found.keep, tuple(jump.in_words() + more for jump in found.lasting[:1])
 
 
 def classify(angle: Array, pose: Array, radius_m: float) -> str:

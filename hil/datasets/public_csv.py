@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from hil.datasets.cleaning import NO_HEADING, UNIT_QUATERNION, Log, count, credi
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
+from hil.datasets.sequence_times import on_period
+from hil.datasets.truth_plane import check_plane
 from hil.datasets.unpacking import read_packed
 
 _NAMES = tuple(f"{w}_Wheel" for w in WHEELS) + tuple(f"{w}_Position" for w in WHEELS)
@@ -38,6 +41,7 @@ _ABS_COLUMNS = (
 _WORDS = (".header.frame_id", ".name")
 _TUPLES = (".position", ".velocity", ".effort")
 _TO_COMMAS = bytes.maketrans(b";/:", b",,,")
+_UP = "or let it stream with the z axis up"
 _MAX_BROKEN_SHARE = 0.1
 _SHOWN = 40
 _FILE = re.compile(r"(odom|abs)_(?P<run>\w+)\.csv(\.gz)?")
@@ -101,18 +105,21 @@ def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Rec
     repairs = dict[str, int]()
     count(repairs, NO_HEADING, np.count_nonzero(~turned))
     truth_rows = truth_rows[turned]
+    check_plane(str(absolute), truth_rows[:, 9:12], truth_rows[:, [15, 12, 13, 14]], _UP)
     qx, qy, qz, qw = truth_rows[:, 12:16].T
     yaw = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     truth = np.column_stack([truth_rows[:, 9], truth_rows[:, 10], yaw])
-    return build_recording(
+    notes = list[str]()
+    recording = build_recording(
         odom.name.removesuffix(".gz").removesuffix(".csv"),
-        _log(wheel_rows, wheels),
-        _log(truth_rows, truth),
+        _log("wheels", wheel_rows, wheels, notes),
+        _log("ground truth", truth_rows, truth, notes),
         sources=(str(odom), str(absolute)),
         sha256=tuple(hashlib.sha256(b).hexdigest() for b in (wheel_bytes, truth_bytes)),
         nominal=nominal,
         repairs=repairs,
     )
+    return replace(recording, notes=(*notes, *recording.notes))
 
 
 def _rotations(path: Path, rows: Array) -> Bools:
@@ -135,13 +142,19 @@ def _rotations(path: Path, rows: Array) -> Bools:
     )
 
 
-def _log(rows: Array, values: Array) -> Log:
-    """Log with header stamps shifted by the median receive delay: the source's clock, without jitter."""
+def _log(kind: str, rows: Array, values: Array, notes: list[str]) -> Log:
+    """Log with header stamps shifted by the median receive delay: the source's clock, without jitter.
+
+    Where sequence numbers show the source's period, stamps are put on it, and `notes` gets a sentence.
+    """
     days = rows[:, 0] * 372 + rows[:, 1] * 31 + rows[:, 2]
     receive = (days - days[0]) * 86400 + rows[:, 3] * 3600 + rows[:, 4] * 60 + rows[:, 5]
     header = (rows[:, 7] - rows[0, 7]) + rows[:, 8] * 1e-9
+    regular = on_period(header, rows[:, 6])
+    if regular is not header:
+        notes.append(f"stamps of the {kind} are late by varying times: its sequence numbers give the times")
     delay = (receive - header)[np.isfinite(receive - header)]
-    return Log(header + (float(np.median(delay)) if len(delay) else 0.0), values, receive)
+    return Log(regular + (float(np.median(delay)) if len(delay) else 0.0), values, receive)
 
 
 def _split_header(path: Path, data: bytes, needed: tuple[str, ...]) -> tuple[list[str], bytes]:

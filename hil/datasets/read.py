@@ -17,6 +17,7 @@ from hil.datasets.drive_coverage import covered
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
 from hil.datasets.topic_map import TopicMap, read_topic_map
+from hil.datasets.truth_correction import corrected
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import NEEDS_TOPICS
@@ -108,7 +109,8 @@ def read_recordings(
             unusable recording raises.
 
     Returns:
-        The recordings, in a fixed order, with unique names.
+        The recordings, in a fixed order, with unique names and corrected ground truth
+        (`hil.datasets.truth_correction`).
 
     Raises:
         DataError: see `find_recordings`, `build_recording`, `covered` and `check_signs`.
@@ -132,6 +134,7 @@ def read_recordings(
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = named_apart(without_copies(out))
+    out = corrected(out)
     check_signs(out, robot, of_all=unusable is not None)
     return out
 

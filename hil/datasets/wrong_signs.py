@@ -37,9 +37,10 @@ CHECK_COLUMNS = (
 """Remedy for recordings that no geometry explains."""
 RATES_AGAINST = "the wheel rates (w) have the other sign than the wheel angles (phi)"
 NO_MOTION = "no wheel turns in it, so it shows nothing of odometry; leave it out, or record a drive"
+LEAVE_OUT = "leave it out, or cut it there; look at what the capture system tracked"
+"""Remedy for a recording whose ground truth no robot can have followed."""
 _CONTRADICTS = "the wheels contradict the ground truth, and would agree if {}"
 _AGAINST = -0.5
-_TURNED_RAD, _LEAST_WAY_M = 0.1, 0.3
 _MIRRORED = np.tile([1.0, -1.0], 4)
 
 
@@ -112,6 +113,9 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
     Raises:
         DataError: names the first file, and the columns that may be wrong.
     """
+    recordings = [one for one in recordings if not one.contradictions]
+    if not recordings:
+        return
     found = wrong_signs(recordings, nominal)
     likely = found.likely()
     if not likely:
@@ -165,19 +169,12 @@ def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     Slip bursts and corrupted stretches miss up to 0.16, workshop tolerances a few hundredths. One steering
     angle with the wrong sign misses 0.25 on a circle, two exchanged wheels 0.5.
     """
-    return _contradictions(recordings, _Strides(reduce_recordings(recordings, _BLOCK_S), geometry))
-
-
-def contradictions_and_warnings(
-    recordings: Sequence[Recording], geometry: WheelGeometry
-) -> tuple[list[str], list[str]]:
-    """As `contradictions`; where there are none, a warning of a heading off by 0.1 rad or more."""
+    impossible = [one for one in recordings if one.contradictions]
+    if impossible:
+        first, *others = impossible
+        more = _likewise([one.name for one in others])
+        return [f"{first.name}: {first.contradictions[0]}{more}; {LEAVE_OUT}"]
     strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
-    found = _contradictions(recordings, strides)
-    return found, [] if found else _turned_headings(recordings, strides)
-
-
-def _contradictions(recordings: Sequence[Recording], strides: _Strides) -> list[str]:
     missed = strides.missed(strides.rolled(), strides.moved())
     found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
     if not found:
@@ -187,31 +184,6 @@ def _contradictions(recordings: Sequence[Recording], strides: _Strides) -> list[
         f"{recordings[found[0]].name}: from second to second the wheels miss {100 * missed[found[0]]:.0f} % "
         f"of the way or turning that the ground truth shows{likewise}; no tolerance explains "
         f"that: {CHECK_COLUMNS}"
-    ]
-
-
-def _turned_headings(recordings: Sequence[Recording], strides: _Strides) -> list[str]:
-    """One line if the ground truth moves at a constant angle to the rolling direction; else none.
-
-    A heading of the ground truth that is not the robot's has this effect. Named from 0.1 rad on, where
-    turning by that angle explains more than half of the difference.
-    """
-    both = strides.counted(strides.rolled()), strides.counted(strides.moved())
-    rolled, moved = (moves[..., 0] + 1j * moves[..., 1] for moves in both)
-    angle_rad = np.angle((rolled.conj() * moved).sum(axis=1))
-    before = np.abs(moved - rolled).sum(axis=1)
-    left = np.abs(moved - rolled * np.exp(1j * angle_rad)[:, None]).sum(axis=1)
-    far = (np.abs(angle_rad) > _TURNED_RAD) & (left < 0.5 * before)
-    found = np.flatnonzero(far & (np.abs(moved).sum(axis=1) > _LEAST_WAY_M))
-    if not len(found):
-        return []
-    first, others = recordings[found[0]].name, [recordings[i].name for i in found[1:]]
-    off_rad = float(angle_rad[found[0]])
-    side = f"{abs(np.degrees(off_rad)):.0f} deg to the {'left' if off_rad > 0 else 'right'}"
-    return [
-        f"{first}: all along the drive the ground truth moves {abs(off_rad):.2f} rad ({side}) beside the way "
-        f"that the wheels roll{_likewise(others)}: its heading is not the robot's, or all steering angles "
-        "are off; set the heading of its body, or mount_rotation_wxyz of [truth] in the topic mapping"
     ]
 
 

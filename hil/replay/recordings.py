@@ -27,7 +27,8 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map
-from hil.datasets.wrong_signs import check_signs, contradictions_and_warnings
+from hil.datasets.truth_correction import corrected
+from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.recording.mcap_reader import RecordingReader
 from hil.recording.runs import RecordedRun, read_runs
 from hil.robot.kinematics import WheelGeometry
@@ -87,17 +88,12 @@ class OpenedRecording:
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
         other = [f"{found}; {OTHER_ROBOT}"] if found else []
-        return [*failed, *reported, *assumed, *other, *self._by_wheels[1]]
+        return [*failed, *reported, *assumed, *other]
 
     @property
     def contradicted(self) -> list[str]:
         """One line if a foreign recording's wheels contradict its ground truth; complete after `runs`."""
-        return self._by_wheels[0]
-
-    @cached_property
-    def _by_wheels(self) -> tuple[list[str], list[str]]:
-        """Contradictions and warnings: wheels of a foreign recording against its ground truth."""
-        return contradictions_and_warnings(self.tables, self.bench.geometry) if self.tables else ([], [])
+        return contradictions(self.tables, self.bench.geometry) if self.tables else []
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
@@ -206,7 +202,8 @@ def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
         found = read_bag(path, read_topic_map(topics), robot)
-        tables.extend(covered(replace(part, later=()), robot) for part in (found, *found.later))
+        parts = [covered(replace(part, later=()), robot) for part in (found, *found.later)]
+        tables.extend(corrected(parts))
         check_signs(tables, robot)
         return lambda: map(to_run, tables)
 

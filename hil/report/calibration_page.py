@@ -85,6 +85,8 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
         f"cost J {number(result.cost_before)} before, {number(result.cost_after)} after",
         f"nominal robot: {result.robot.in_words()}",
+        result.compared.in_words(),
+        result.compared.in_words(),
         *result.choice_in_words(),
     ]
     figures = [

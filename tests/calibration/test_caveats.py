@@ -71,6 +71,18 @@ def test_motions_beyond_the_calibrations_own_are_named_at_evaluation():
     assert beyond_driven(blocks, CAD, drives(MOTIONS)) == []
 
 
+@pytest.mark.parametrize("motions", [("circle_ccw",), ("line_x", "circle_cw"), ("diagonal", "rotation_ccw")])
+def test_extrapolation_is_said_of_motions_that_were_not_recorded_and_only_of_them(motions):
+    """One circle determines neither forward motion nor turning, but the same circle again."""
+    known = drives(motions)
+    others = reduce_recordings(make_set(hidden_robot(6), 8, (*MOTIONS, "diagonal"), 1), 0.3)
+    said = {line.split()[0] for line in beyond_driven(others, CAD, known)}
+    assert not said & set(motions)
+    assert "line_y" in said
+    if motions == ("circle_ccw",):
+        assert said == {"line_x", "line_y", "circle_cw", "rotation_ccw", "rotation_cw", "diagonal"}
+
+
 def rows(**mm):
     return {
         m: {"rmse_position_m": 1e-3 * v, "rmse_theta_rad": 0.0, "final_position_m": 0.0}

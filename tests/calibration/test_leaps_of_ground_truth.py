@@ -11,7 +11,9 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import build_recording
+from hil.datasets.initial_rest import start_of
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.wrong_signs import contradictions
 from hil.robot.kinematics import WheelGeometry
 
 CAD = WheelGeometry.nominal()
@@ -93,14 +95,13 @@ def test_one_row_in_a_hundred_is_no_reason_to_blame_the_geometry():
 
 
 @pytest.mark.parametrize("by_m", [0.05, 5.0])
-def test_a_leap_that_lasts_stays_and_is_named_with_its_time(by_m):
+def test_a_leap_that_lasts_contradicts_the_recording_and_has_its_time(by_m):
     clean, spoilt = line(shift(slice(1100, None), by_m))
     assert len(spoilt.truth_pose) == len(clean.truth_pose)
-    (reported,) = spoilt.warnings()
-    assert reported.startswith(
-        "line_x_1: 1 ground-truth leaps that last left as they are (first 11.0 s after"
-    )
-    assert "leave the recording out" in reported
+    (named,) = spoilt.contradictions
+    assert "11.0 s after its begin" in named
+    (refused,) = contradictions([clean, spoilt], CAD)
+    assert named in refused
 
 
 def test_the_time_of_a_leap_is_reported_from_the_begin_of_the_ground_truth(clean):
@@ -109,7 +110,70 @@ def test_the_time_of_a_leap_is_reported_from_the_begin_of_the_ground_truth(clean
     spoilt = build_recording(
         "line_x_1", Log(clean.t_s + 1e4, wheels_of(clean)), Log(clean.truth_t_s + 1e4, pose)
     )
-    assert "(first 11.0 s after its begin, by 0.7" in spoilt.warnings()[0]
+    assert "by 0.71 m 11.0 s after its begin" in spoilt.contradictions[0]
+
+
+TURNS = [0.03, 0.05, 0.12, -0.18, np.pi]
+
+
+def stepped(one, turn_rad, at=0.5, over=1, noise_rad=0.0):
+    """A recording whose heading steps at a part of its ground truth, spread over some rows, and stays."""
+    pose, first = one.truth_pose.copy(), round(at * len(one.truth_pose))
+    pose[:, 2] += turn_rad * np.clip((np.arange(len(pose)) - first + 1) / over, 0.0, 1.0)
+    pose[:, 2] += np.random.default_rng(1).normal(0.0, noise_rad, len(pose))
+    return build_recording(
+        one.name, Log(one.t_s, wheels_of(one)), Log(one.truth_t_s, pose), motion=one.motion
+    )
+
+
+@pytest.fixture(scope="module")
+def motions():
+    return make_set(hidden_robot(4), 4, repetitions=2, slip_share=0.5)
+
+
+@pytest.mark.parametrize("turn_rad", TURNS)
+def test_a_heading_that_steps_and_stays_is_found_in_every_motion(motions, turn_rad):
+    for one in motions[::2]:
+        assert one.contradictions == ()
+        for at in (0.3, 0.7):
+            assert len(stepped(one, turn_rad, at).contradictions) == 1
+
+
+def test_a_filter_or_noise_does_not_hide_a_step_of_the_heading(clean):
+    assert stepped(clean, 0.0, noise_rad=0.004).contradictions == ()
+    for hidden in ({"over": 6}, {"noise_rad": 0.004}):
+        assert len(stepped(clean, 0.06, **hidden).contradictions) == 1
+
+
+@pytest.mark.parametrize("late_s", [-0.15, 0.15])
+def test_a_late_clock_is_no_step_of_the_heading(motions, late_s):
+    for one in motions[::2]:
+        moved = build_recording(
+            one.name, Log(one.t_s, wheels_of(one)), Log(one.truth_t_s + late_s, one.truth_pose)
+        )
+        assert moved.contradictions == ()
+
+
+@pytest.mark.parametrize("rows", [slice(0, 60), slice(20, 90), slice(-70, None)])
+def test_a_step_in_a_rest_costs_these_rows_and_nothing_else(clean, rows):
+    pose = clean.truth_pose.copy()
+    pose[rows, 2] += 0.15
+    spoilt = build_recording("line_x_1", Log(clean.t_s, wheels_of(clean)), Log(clean.truth_t_s, pose))
+    assert spoilt.contradictions == ()
+    assert start_of(spoilt).pose == pytest.approx(start_of(clean).pose, abs=1e-4)
+    assert len(pose) - len(spoilt.truth_pose) == len(pose[rows])
+
+
+def test_steps_are_left_out_where_few_have_one_and_refused_where_all_have(motions):
+    setting = make_setting("recommended", model="exact")
+    few = [stepped(one, 0.12) if k in (1, 6, 7) else one for k, one in enumerate(motions)]
+    found = calibrate(few, setting, MonotonicClock(), validate=False)
+    assert set(found.rejected) == {motions[k].name for k in (1, 6, 7)}
+    rest = [one for k, one in enumerate(motions) if k not in (1, 6, 7)]
+    whole = calibrate(rest, setting, MonotonicClock(), validate=False)
+    np.testing.assert_array_equal(found.fit.solution.z, whole.fit.solution.z)
+    with pytest.raises(DataError, match=r"steps by 0.12 rad .* none of 12"):
+        calibrate([stepped(one, 0.12) for one in motions], setting, MonotonicClock(), validate=False)
 
 
 def test_a_robot_that_drives_on_unseen_for_a_while_has_not_leapt(clean):
@@ -120,6 +184,7 @@ def test_a_robot_that_drives_on_unseen_for_a_while_has_not_leapt(clean):
         "line_x_1", Log(clean.t_s, wheels_of(clean)), Log(clean.truth_t_s[seen], clean.truth_pose[seen])
     )
     assert not any("leap" in what for what in found.repairs)
+    assert found.contradictions == ()
 
 
 def test_ground_truth_that_leaps_all_the_time_is_refused():
@@ -140,4 +205,5 @@ def test_a_robot_of_any_size_and_noise_of_millimetres_are_no_leaps(scale):
     def shake(pose):
         pose += rng.normal(0.0, 1.0, pose.shape) * (0.003, 0.003, 0.005)
 
-    assert line(shake, hidden_robot(4, nominal=robot))[1].repairs == {}
+    shaken = line(shake, hidden_robot(4, nominal=robot))[1]
+    assert (shaken.repairs, shaken.contradictions) == ({}, ())

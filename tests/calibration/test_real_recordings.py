@@ -1,8 +1,10 @@
 """What the authors' own recordings must show: Table II, and a calibration that beats the paper's."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hil.calibration.calibrate import calibrate
@@ -11,9 +13,12 @@ from hil.calibration.evaluation import evaluate, track
 from hil.calibration.problem import RECOMMENDED
 from hil.cli.calibrate import _text
 from hil.core.clock import MonotonicClock
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
-from hil.datasets.time_offset import time_offset_s
+from hil.datasets.truth_correction import corrected
+from hil.datasets.truth_fit import truth_fit
 from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.robot.kinematics import WheelGeometry
 
@@ -39,7 +44,25 @@ def test_nothing_is_wrong_with_them(recordings):
     check_signs(recordings, Nominal())
     assert contradictions(recordings, WheelGeometry.nominal()) == []
     assert not any("leap" in what or "not checked" in what for one in recordings for what in one.repairs)
-    assert max(abs(time_offset_s(one)) for one in recordings) < 0.015
+    fits = [truth_fit(one) for one in recordings]
+    assert max(abs(fit.late_s) for fit in fits) < 0.015
+    assert abs(np.median([fit.fast for fit in fits])) < 1e-4
+    assert not any("correct" in note for one in recordings for note in one.notes)
+
+
+def test_no_wrong_truth_passes_for_theirs(recordings):
+    """A clock 0.2 % fast is found, as is a heading of one recording that steps by 0.05 rad."""
+    fast = [
+        replace(one, truth_t_s=one.truth_t_s + 0.002 * (one.truth_t_s - one.truth_t_s[0]))
+        for one in recordings[::5]
+    ]
+    assert any("0.20 % fast" in note for one in corrected(fast) for note in one.notes)
+    one = recordings[0]
+    pose = one.truth_pose.copy()
+    pose[len(pose) // 2 :, 2] += 0.05
+    wheels = np.column_stack([one.wheel_angle_rad, one.steering_rad])
+    (named,) = build_recording("a", Log(one.t_s, wheels), Log(one.truth_t_s, pose)).contradictions
+    assert "0.05 rad" in named
 
 
 def test_nominal_errors_equal_table_2(recordings):

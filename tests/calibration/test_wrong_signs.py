@@ -147,7 +147,9 @@ def test_no_honest_recording_is_named(contact, spoilt):
     robot = hidden_robot(9, contact=contact)
     data = make_set(robot, 9, (*MOTIONS, "curl", "scan"), 1, corrupted=spoilt)
     check_signs(data, Nominal())
-    assert contradictions(data, CAD) == []
+    (leaps,) = (one for one in data if one.contradictions)
+    assert leaps.name == spoilt
+    assert contradictions([one for one in data if one is not leaps], CAD) == []
 
 
 def test_a_long_rest_does_not_count(good):
@@ -201,12 +203,12 @@ def test_a_calibration_that_explains_nothing_is_not_written(tmp_path, capsys, go
     out = tmp_path / "calibration.toml"
     files = [tmp_path / f"{one.name}.csv" for one in good]
     for file, one in zip(files, good, strict=True):
-        write_plain(file, turned(one))
+        write_plain(file, replace(one, truth_pose=0.85 * one.truth_pose))
     assert main(["calibrate", *map(str, files), "--no-validation", "--json", "--out", str(out)]) == 1
     reported = capsys.readouterr()
     found = json.loads(reported.out)
     assert found["verdict"] == "FAIL"
-    assert any("do not use it" in line for line in found["warnings"])
+    assert any("more than a workshop leaves" in line for line in found["warnings"])
     assert f"{out} is not written" in reported.err
     assert not out.exists()
 
@@ -243,9 +245,9 @@ def test_a_heading_that_is_off_is_named_with_the_angle(tmp_path, capsys, good, c
         file = tmp_path / f"{name}_1.csv"
         write_plain(file, recording)
         assert main([command, str(file), "--json"]) == 0
-        lines[name] = [w for w in json.loads(capsys.readouterr().out)["warnings"] if "beside the way" in w]
+        lines[name] = [w for w in json.loads(capsys.readouterr().out)["warnings"] if "steering zeros" in w]
     assert lines["good"] == []
-    assert re.search(r"0\.1[5-9] rad \(1?\d deg to the right\)", lines["turned"][0])
+    assert re.search(r"0\.1[5-9]\d rad", lines["turned"][0])
 
 
 @pytest.mark.parametrize("command", ["calibrate", "evaluate", "tune"])

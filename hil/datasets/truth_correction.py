@@ -1,0 +1,210 @@
+"""Corrects the ground truth of a set: a clock that is late or fast, a heading or a centre not the robot's.
+
+What `hil.datasets.truth_fit` measures in a recording is compared over the set. What the recordings have in
+common is corrected and said. A recording whose body differs from that of the others contradicts them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.core.geometry import Array
+from hil.datasets.dataset import Recording
+from hil.datasets.sampling import is_slow
+from hil.datasets.truth_fit import TruthFit, truth_fit
+
+_LATE_S, _PERIODS = 0.03, 0.1
+_FAST, _STDS = 5e-4, 4.0
+_HEADING_RAD, _HEADING_STD_RAD, _OTHER_RAD, _FAR_RAD = 0.03, 0.01, 0.06, 1.0
+_REVERSE_RAD = 2.6
+_CENTRE_M, _CENTRE_STD_M, _OTHER_M = 0.01, 3e-3, 0.02
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a set of recordings has in common, 0 where nothing is to be corrected.
+
+    Attributes:
+        late: whether each recording is late, or early.
+        fast: share by which the clock of the ground truth runs fast.
+        typical_rad: heading of the ground truth minus the robot's in most recordings.
+        heading_rad: the same, 0 where it is not corrected.
+        centre_m: tracked point (x + iy) in the frame of the body.
+        notes: what is corrected, in words.
+        contradiction: what is not corrected, in words.
+    """
+
+    late: Sequence[bool]
+    fast: float
+    typical_rad: float
+    heading_rad: float
+    centre_m: complex
+    notes: tuple[str, ...]
+    contradiction: tuple[str, ...]
+
+
+def corrected(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with corrected ground truth; their `notes` say how.
+
+    Stamps are corrected from 0.03 s on (with slow ground truth a tenth of its period more), a fast clock from
+    0.05 %, a heading from 0.03 rad, a centre from 10 mm. A heading that is 0.06 rad from that of most other
+    recordings, or a centre that is 20 mm from theirs, is of another body: `contradictions` say so. A heading
+    that is more than a radian off is not corrected, it contradicts; half a turn is left to `wrong_signs`.
+    """
+    fits = [None if one.contradictions else truth_fit(one) for one in recordings]
+    found = _common(recordings, fits)
+    return [
+        _corrected(one, fit, late, found) for one, fit, late in zip(recordings, fits, found.late, strict=True)
+    ]
+
+
+def notes_of(recordings: Sequence[Recording]) -> list[str]:
+    """What was corrected, each sentence once."""
+    return list(dict.fromkeys(note for one in recordings for note in one.notes))
+
+
+def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) -> _Found:
+    known = [fit for fit in fits if fit is not None]
+    late = [
+        fit is not None and abs(fit.late_s) >= _worth_s(one)
+        for one, fit in zip(recordings, fits, strict=True)
+    ]
+    fast = _typical([fit.fast for fit in known])
+    if abs(fast) < max(_FAST, _STDS * _error([fit.fast for fit in known], [fit.fast_std for fit in known])):
+        fast = 0.0
+    headings = [(complex(fit.heading_rad), fit.heading_std_rad) for fit in known]
+    heading, by_ways = _agreed(headings, _HEADING_STD_RAD, _OTHER_RAD)
+    centre_m, by_turns = _agreed([(fit.centre_m, fit.centre_std_m) for fit in known], _CENTRE_STD_M, _OTHER_M)
+    heading_rad = heading.real if abs(heading) >= _HEADING_RAD else 0.0
+    centre_m = centre_m if abs(centre_m) >= _CENTRE_M else 0j
+    delays_s = [fit.late_s for fit, is_late in zip(fits, late, strict=True) if fit and is_late]
+    notes, contradiction = _of_clocks(delays_s, fast, len(known)), tuple[str, ...]()
+    far, typical_rad = abs(heading_rad) > _FAR_RAD, heading.real
+    if far and abs(heading_rad) < _REVERSE_RAD:
+        contradiction = (
+            f"its ground truth moves {_angle(-heading_rad)} beside the direction in which the wheels roll: "
+            "set the heading of its body, or mount_rotation_wxyz of [truth]; or x and y are exchanged",
+        )
+    if far:
+        heading_rad, centre_m = 0.0, 0j
+    notes += _of_body(heading_rad, by_ways, complex(centre_m * np.exp(1j * heading_rad)), by_turns)
+    return _Found(late, fast, typical_rad, heading_rad, centre_m, notes, contradiction)
+
+
+def _corrected(one: Recording, fit: TruthFit | None, late: bool, found: _Found) -> Recording:
+    """A recording with its own delay, and with what is common to all, taken out of its ground truth."""
+    unlike = found.contradiction or _unlike(fit, found)
+    if not found.notes and not unlike:
+        return one
+    pose, middle_s = one.truth_pose.copy(), 0.5 * float(one.truth_t_s[0] + one.truth_t_s[-1])
+    tracked_m = found.centre_m * np.exp(1j * pose[:, 2])
+    pose -= np.column_stack([tracked_m.real, tracked_m.imag, np.full(len(pose), found.heading_rad)])
+    late_s = fit.late_s if fit is not None and (late or found.fast) else 0.0
+
+    def at(stamps_s: Array) -> Array:
+        return np.asarray(stamps_s - late_s - found.fast * (stamps_s - middle_s), dtype=np.float64)
+
+    return replace(
+        one,
+        truth_pose=pose,
+        truth_t_s=at(one.truth_t_s),
+        truth_receive_s=at(one.truth_receive_s),
+        notes=(*one.notes, *found.notes),
+        contradictions=(*one.contradictions, *unlike),
+    )
+
+
+def _unlike(fit: TruthFit | None, found: _Found) -> tuple[str, ...]:
+    """Why a recording is of another body than the others."""
+    if fit is None:
+        return ()
+    out = []
+    off_rad, off_m = fit.heading_rad - found.typical_rad, fit.centre_m - found.centre_m
+    off_rad = (off_rad + np.pi) % (2.0 * np.pi) - np.pi
+    if fit.heading_std_rad < _HEADING_STD_RAD and abs(off_rad) > _OTHER_RAD:
+        out.append(f"the heading of its ground truth is {off_rad:.2f} rad off that of the other recordings")
+    if fit.centre_std_m < _CENTRE_STD_M and abs(off_m) > _OTHER_M:
+        out.append(
+            f"its ground truth tracks a point {1e3 * abs(off_m):.0f} mm from that of the other recordings"
+        )
+    return tuple(out)
+
+
+def _agreed(measured: Sequence[tuple[complex, float]], std: float, tolerance: float) -> tuple[complex, int]:
+    """The value that most of the measured ones, with their standard errors, agree with; and their number.
+
+    Two groups are not averaged: one of them is chosen, of two equal ones that of the smaller value. The value
+    is a typical one of those that are known to `std`; without any it is 0.
+    """
+    known = [value for value, own in measured if own < std]
+
+    def agree(value: complex) -> int:
+        return sum(abs(other - value) <= max(tolerance, _STDS * own) for other, own in measured)
+
+    if not known:
+        return 0j, 0
+    best = max([0j, *known], key=lambda value: (agree(value), -abs(value)))
+    near = [value for value in known if abs(value - best) <= tolerance]
+    return complex(_typical([v.real for v in near]), _typical([v.imag for v in near])), len(near)
+
+
+def _typical(values: Sequence[float]) -> float:
+    """The lower median; 0 of nothing."""
+    return float(sorted(values)[(len(values) - 1) // 2]) if values else 0.0
+
+
+def _error(values: Sequence[float], stds: Sequence[float]) -> float:
+    """Standard error of the typical value: by the spread of several ones, by its own where it is alone."""
+    if len(values) < 3:
+        return float(np.mean(stds)) if stds else np.inf
+    spread = 1.4826 * float(np.median(np.abs(np.array(values) - np.median(values))))
+    return spread / float(np.sqrt(len(values)))
+
+
+def _worth_s(recording: Recording) -> float:
+    """Least delay that is corrected, s."""
+    at_s = recording.truth_t_s
+    return _LATE_S + (_PERIODS * float(np.median(np.diff(at_s))) if is_slow(at_s) else 0.0)
+
+
+def _of_clocks(late_s: Sequence[float], fast: float, known: int) -> tuple[str, ...]:
+    if fast:
+        word = "fast" if fast > 0 else "slow"
+        return (
+            f"the clock of the ground truth runs {100 * abs(fast):.2f} % {word} against that of the wheels "
+            f"(starts and stops of {known} recordings): its stamps are corrected",
+        )
+    if not late_s:
+        return ()
+    typical_s = _typical(late_s)
+    word = "later" if typical_s > 0 else "earlier"
+    return (
+        f"the ground truth moves {abs(typical_s):.2f} s {word} than the wheels ({len(late_s)} recordings, "
+        f"{min(late_s):.2f} to {max(late_s):.2f} s): its stamps are corrected",
+    )
+
+
+def _of_body(heading_rad: float, by_ways: int, centre_m: complex, by_turns: int) -> tuple[str, ...]:
+    out = []
+    if heading_rad:
+        out.append(
+            f"the heading of the ground truth is {_angle(heading_rad)} off the direction in which the wheels "
+            f"roll ({by_ways} recordings): either its body is set so, or all four steering zeros are as much "
+            "off; recordings cannot tell these apart. The heading is corrected here: set the heading of the "
+            "body (mount_rotation_wxyz of [truth]) or the zeros"
+        )
+    if centre_m:
+        out.append(
+            f"the ground truth tracks a point {1e3 * centre_m.real:.0f} mm ahead and "
+            f"{1e3 * centre_m.imag:.0f} mm to the left of the middle of the wheels (turns of {by_turns} "
+            "recordings): its positions are "
+            "corrected; set the pivot of its body there, or mount_position_m of [truth]"
+        )
+    return tuple(out)
+
+
+def _angle(angle_rad: float) -> str:
+    return f"{angle_rad:.3f} rad ({np.degrees(angle_rad):.1f} deg)"
