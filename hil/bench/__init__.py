@@ -5,23 +5,50 @@ open_bench("emulated") as bench:` gives a script the same devices, clock and loo
 procedures.
 """
 
-from hil.bench.bench import Bench
-from hil.bench.emulation import (
-    check_faults,
-    faults_within,
-    hidden_truth,
-    open_emulation,
-    planned_faults,
-    supported_faults,
-)
-from hil.bench.hold.result import Held
-from hil.bench.loop_settings import alignment_parameters, safety_limits
-from hil.bench.opening import make_bench_model, open_bench
-from hil.drivers.servos import set_up
-from hil.fakes.world import World
-from hil.faults.fault import Fault, make_fault
-from hil.faults.fault import check_kind as check_fault_kind
-from hil.faults.fault import describe as describe_fault
+from typing import TYPE_CHECKING
+
+from hil.support.first_use import on_first_use
+
+if TYPE_CHECKING:
+    from hil.bench.bench import Bench
+    from hil.bench.emulation import (
+        check_faults,
+        faults_within,
+        hidden_truth,
+        open_emulation,
+        planned_faults,
+        supported_faults,
+    )
+    from hil.bench.hold.result import Held
+    from hil.bench.loop_settings import alignment_parameters, safety_limits
+    from hil.bench.opening import make_bench_model, open_bench
+    from hil.drivers.servos import set_up
+    from hil.fakes.world import World
+    from hil.faults.fault import Fault, make_fault
+    from hil.faults.fault import check_kind as check_fault_kind
+    from hil.faults.fault import describe as describe_fault
+else:
+    _OFFERED = {
+        "Bench": "hil.bench.bench",
+        "Fault": "hil.faults.fault",
+        "Held": "hil.bench.hold.result",
+        "World": "hil.fakes.world",
+        "alignment_parameters": "hil.bench.loop_settings",
+        "check_fault_kind": "hil.faults.fault:check_kind",
+        "check_faults": "hil.bench.emulation",
+        "describe_fault": "hil.faults.fault:describe",
+        "faults_within": "hil.bench.emulation",
+        "hidden_truth": "hil.bench.emulation",
+        "make_bench_model": "hil.bench.opening",
+        "make_fault": "hil.faults.fault",
+        "open_bench": "hil.bench.opening",
+        "open_emulation": "hil.bench.emulation",
+        "planned_faults": "hil.bench.emulation",
+        "safety_limits": "hil.bench.loop_settings",
+        "set_up": "hil.drivers.servos",
+        "supported_faults": "hil.bench.emulation",
+    }
+    __getattr__ = on_first_use(__name__, _OFFERED)
 
 __all__ = [
     "Bench",

@@ -40,12 +40,12 @@ class _WithParameters(click.Command):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Print the parameters with their defaults; if the procedure cannot be read, the reason."""
-        from hil.procedure.parameters import described
-        from hil.procedure.procedure_lookup import load_procedure
-
         script = ctx.meta.get(_SCRIPT)
         if script is None:
             return
+        from hil.procedure.parameters import described
+        from hil.procedure.procedure_lookup import load_procedure
+
         try:
             proc = load_procedure(script)
         except HilError as error:
