@@ -1,8 +1,9 @@
-"""Writes `faults.md`: every fault that emulated devices can produce, as they declare it themselves."""
+"""Writes `faults.md`, every fault that emulated devices can produce, and the table of `hil list faults`."""
 
 from __future__ import annotations
 
 import importlib
+import json
 import re
 from collections.abc import Iterator
 from itertools import groupby
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import hil
 from hil.bench.emulation import supported_faults
+from hil.cli.declared import FAULTS as TABLE
+from hil.cli.declared import TABLED
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
 from hil.core.signals import KINDS as KINDS_HERE
@@ -106,6 +109,13 @@ def page() -> str:
     return "".join((HEAD, *_kinds(), *_options(), *_devices()))
 
 
+def table() -> str:
+    """What `hil list faults` says of the shipped bench: by device and kind the options, a device a line."""
+    declared = supported_faults(load_bench(TABLED, emulate="all"))
+    lines = (f"{json.dumps(name)}: {json.dumps(faults)}" for name, faults in declared.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
 def _kinds() -> Iterator[str]:
     yield "\n## Kinds\n\n| kind | what happens |\n|---|---|\n"
     yield from (f"| `{kind}` | {meaning} |\n" for kind, meaning in MEANINGS.items())
@@ -193,3 +203,4 @@ def _source(module: str) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
+    TABLE.write_text(table(), encoding="utf-8")

@@ -78,13 +78,13 @@ def _with_files(found: Known, ending: str, incomplete: str) -> Known:
 
 
 def _benches(ctx: click.Context, incomplete: str) -> Known:
-    from hil.config.loading import profile_names, profile_summary
+    from hil.config.shipped_profiles import profile_names, profile_summary
 
     return _with_files({n: profile_summary(n) for n in profile_names()}, ".toml", incomplete)
 
 
 def _procedures(ctx: click.Context, incomplete: str) -> Known:
-    from hil.procedure.procedure_lookup import shipped_names
+    from hil.procedure.shipped import shipped_names
 
     return dict.fromkeys(shipped_names(), "")
 
@@ -94,17 +94,16 @@ def _scripts(ctx: click.Context, incomplete: str) -> Known:
 
 
 def _devices(ctx: click.Context, incomplete: str) -> Known:
-    from hil.core.registry import kinds
+    from hil.cli import declared
 
-    return {**{name: kind.noun for name, kind in kinds().items()}, "all": ""}
+    return {**{name: kind.noun for name, kind in declared.devices().items()}, "all": ""}
 
 
 def _faults(ctx: click.Context, incomplete: str) -> Known:
     """Complete the device first; once it is typed or unique, its faults."""
-    from hil.bench.emulation import supported_faults
-    from hil.config.loading import load_bench
+    from hil.cli import declared
 
-    known = supported_faults(load_bench(_given(ctx, "bench") or _DEFAULT_BENCH, emulate="all"))
+    known = declared.faults(_given(ctx, "bench") or _DEFAULT_BENCH)
     meant = [device for device in known if f"{device}:".startswith(incomplete)]
     if len(meant) > 1:
         return {f"{device}:": "" for device in meant}

@@ -11,12 +11,14 @@ from typing import Any
 
 import click
 
-from hil.config.loading import NoSuchDevice, load_bench, profile_names
+from hil.config.loading import NoSuchDevice, load_bench
+from hil.config.shipped_profiles import profile_names
 from hil.console.command_forms import Action, Field, Values
 from hil.core.errors import ConfigError, HilError
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import Described, described, make_parameters, written
-from hil.procedure.procedure_lookup import load_procedure, shipped_names
+from hil.procedure.procedure_lookup import load_procedure
+from hil.procedure.shipped import shipped_names
 
 _OFFERED = {
     "doctor": ("devices", "Examine the devices", ("--bench", "--emulate")),

@@ -11,11 +11,10 @@ from functools import partial
 import click
 
 from hil import __version__
+from hil.cli import declared
 from hil.cli.options import JSON
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_PASS, EXIT_USAGE, HilError
-from hil.core.registry import kinds
-from hil.procedure.worker_processes import Workers
 from hil.support.arithmetic_fingerprint import fingerprint
 from hil.support.extras import MODULES, packages, why_unusable
 from hil.support.progress import Report
@@ -54,6 +53,8 @@ def _load(part: str) -> None:
 
 def _compile(report: Report) -> None:
     """Compile all kernels in two processes, those that others contain first."""
+    from hil.procedure.worker_processes import Workers
+
     plants = ["own"] if why_unusable("mujoco") else ["own", "mujoco"]
     rounds = (["filter", "calibration"], [plants[0], "unscented filter", "smoother", *plants[1:]])
     done, parts = 0, sum(map(len, rounds))
@@ -68,8 +69,8 @@ def _compile(report: Report) -> None:
 def _devices() -> dict[str, list[dict[str, str]]]:
     """Models of every kind of device, each with its title and the package that it comes from."""
     return {
-        kind.name: [{"model": m.name, "title": m.title, "package": m.package} for m in kind.models]
-        for kind in kinds().values()
+        name: [{"model": m.name, "title": m.title, "package": m.package} for m in kind.models]
+        for name, kind in declared.devices().items()
     }
 
 

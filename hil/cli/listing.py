@@ -21,34 +21,19 @@ _ESTIMATORS_IN_WORDS = {
 }
 
 
-def _procedures() -> dict[str, str]:
-    from hil.procedure.procedure_lookup import load_procedure, shipped_names
+def _makers(bench: str) -> Mapping[str, Callable[[], Mapping[str, Any]]]:
+    """What makes each list."""
+    from hil.cli import declared
+    from hil.config.shipped_profiles import profile_names, profile_summary
+    from hil.procedure.shipped import shipped_summaries
 
-    return {name: load_procedure(name).summary for name in shipped_names()}
-
-
-def _profiles() -> dict[str, str]:
-    from hil.config.loading import profile_names, profile_summary
-
-    return {name: profile_summary(name) for name in profile_names()}
-
-
-def _devices() -> dict[str, dict[str, str]]:
-    from hil.core.registry import kinds
-
-    return {kind.name: {m.name: m.title for m in kind.models} for kind in kinds().values()}
-
-
-def _faults(bench: str) -> dict[str, dict[str, list[str]]]:
-    from hil.bench.emulation import supported_faults
-    from hil.config.loading import load_bench
-
-    declared = supported_faults(load_bench(bench, emulate="all"))
-    return {name: {kind: list(o) for kind, o in faults.items()} for name, faults in declared.items()}
-
-
-def _estimators() -> dict[str, str]:
-    return {name: _ESTIMATORS_IN_WORDS[name] for name in ESTIMATORS}
+    return {
+        "procedures": shipped_summaries,
+        "profiles": lambda: {name: profile_summary(name) for name in profile_names()},
+        "devices": lambda: {n: {m.name: m.title for m in k.models} for n, k in declared.devices().items()},
+        "faults": lambda: declared.faults(bench),
+        "estimators": lambda: {name: _ESTIMATORS_IN_WORDS[name] for name in ESTIMATORS},
+    }
 
 
 WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
@@ -68,13 +53,7 @@ def command(what: str | None, bench: str, as_json: bool) -> int:
 
     Example: hil list procedures
     """
-    makers: Mapping[str, Callable[[], Mapping[str, Any]]] = {
-        "procedures": _procedures,
-        "profiles": _profiles,
-        "devices": _devices,
-        "faults": lambda: _faults(bench),
-        "estimators": _estimators,
-    }
+    makers = _makers(bench)
     reported = {name: makers[name]() for name in ((what,) if what else WHAT)}
     if as_json:
         click.echo(json.dumps(reported))

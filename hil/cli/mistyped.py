@@ -77,7 +77,7 @@ def _of_extra(text: str, ctx: click.Context | None) -> str:
         return text
     given = wrong["given"].split()[0]
     options = {name for p in ctx.command.params for name in p.opts}
-    from hil.config.loading import profile_names
+    from hil.config.shipped_profiles import profile_names
 
     if "--bench" in options and (Path(given).suffix == ".toml" or given in profile_names()):
         return f"{text}; did you mean --bench {given}?"

@@ -10,8 +10,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import date
-from importlib import resources
-from itertools import islice, takewhile
+from itertools import islice
 from pathlib import Path
 from typing import Any, get_args
 
@@ -21,6 +20,7 @@ from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
 from hil.config.robot_record.overlay import apply_record, check_record
 from hil.config.several_devices import devices_in, further_in, resolve_device, spread
+from hil.config.shipped_profiles import profile_names, profile_text
 from hil.core.errors import ConfigError, HilError, did_you_mean, did_you_mean_file
 from hil.core.registry import kinds
 from hil.support.atomic_files import check_name
@@ -36,19 +36,6 @@ _MOST_LOOKED_AT = 200
 _SCHEMA: int = get_args(BenchConfig.model_fields["schema_version"].annotation)[0]
 _NOISE_OF = {"servos": ("process", "wheels", "wall"), "imu": ("gyro",), "tracker": ("tracker",)}
 """Tables of `estimator` that speak of a device."""
-
-
-def profile_names() -> tuple[str, ...]:
-    """Names of the shipped profiles."""
-    folder = resources.files("hil.config.profiles")
-    return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
-
-
-def profile_summary(name: str) -> str:
-    """What a shipped profile is, in a sentence: the first of the comment at its head."""
-    text = resources.files("hil.config.profiles").joinpath(f"{name}.toml").read_text(encoding="utf-8")
-    head = takewhile(lambda line: line.startswith("#"), text.splitlines())
-    return " ".join(line.strip("# ") for line in head).partition(".")[0]
 
 
 def _bench_files(folder: Path) -> list[str]:
@@ -90,8 +77,7 @@ def _found(source: str | Path) -> tuple[dict[str, Any], str]:
         return read_toml(path, remedy=near or "give a bench.toml or a profile name"), str(path)
     if str(source) in profile_names():
         origin = f"profile {source}"
-        text = resources.files("hil.config.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8")
-        return toml_tables(text, origin), origin
+        return toml_tables(profile_text(str(source)), origin), origin
     raise ConfigError(
         f"bench {str(source)!r} is neither a file nor a shipped profile",
         expected="a path to a .toml file or one of " + ", ".join(profile_names()),

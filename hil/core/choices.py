@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
+KINDS = ("servos", "encoders", "imu", "tracker", "mocap", "adhesion", "thrust", "load_cells")
+"""Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
 EstimatorName = Literal["odometry", "ekf", "ukf"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 """Estimators that can run in the loop."""

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
+from hil.core.choices import KINDS as KINDS
 from hil.core.errors import UsageError
 from hil.core.external_commands import ExternalCommands
 from hil.core.geometry import Array
@@ -301,8 +302,6 @@ def worst(sample: Any) -> Status:
 
 NO_KINDS = ("cycle", "t_ns", "health", "added")
 """Fields of `Inputs` that are not device kinds; reserved as names of kinds."""
-KINDS = tuple(f.name for f in fields(Inputs) if f.name not in NO_KINDS)
-"""Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
 _KNOWN = frozenset(KINDS)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import pkgutil
 import sys
 from contextlib import suppress
 from functools import lru_cache
@@ -16,17 +15,11 @@ from hil.core.errors import ConfigError, did_you_mean, did_you_mean_file
 from hil.core.registry import kinds
 from hil.core.wrong_path_hint import is_tests, meant
 from hil.procedure.declaration import Procedure
+from hil.procedure.shipped import SHIPPED_FOLDER, shipped_names
 from hil.support.atomic_files import check_name
 from hil.support.script_file import run_file
 
 SHIPPED = "hil.procedures"
-SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
-"""Folder of the shipped procedures: in a checkout `procedures/`, to which `hil/procedures` is a link."""
-
-
-def shipped_names() -> tuple[str, ...]:
-    """Return the names of the shipped procedures: scripts, and packages."""
-    return tuple(sorted(m.name for m in pkgutil.iter_modules([str(SHIPPED_FOLDER)])))
 
 
 def _shipped(name: str) -> ModuleType:

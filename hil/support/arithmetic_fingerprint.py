@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import platform
+import sys
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +22,7 @@ from hil.support.versions import version_of
 
 _LIBM_CHOOSES_BY = ("avx2", "fma", "fma4")
 """Features of x86 processors for which glibc has versions of its mathematical functions."""
+_NUMBA_FILE = ".numba_config.yaml"
 _HWCAPS = "glibc.cpu.hwcaps="
 
 
@@ -96,11 +98,19 @@ def _masked() -> set[str]:
     return {name[1:].lower().removesuffix("_usable") for name in masks.split(",") if name.startswith("-")}
 
 
-def _numba() -> str:
-    from llvmlite import binding
+def _numba_setting(name: str) -> object:
+    """A setting of numba; importing numba to learn that nothing sets it would take a second."""
+    if "numba" not in sys.modules and not (f"NUMBA_{name}" in os.environ or Path(_NUMBA_FILE).exists()):
+        return None
     from numba.core import config
 
+    return getattr(config, name)
+
+
+def _numba() -> str:
+    from llvmlite import binding
+
     llvm = ".".join(map(str, binding.llvm_version_info))
-    target = config.CPU_NAME or binding.get_host_cpu_name()
-    interpreted = " interpreted" if config.DISABLE_JIT else ""
+    target = _numba_setting("CPU_NAME") or binding.get_host_cpu_name()
+    interpreted = " interpreted" if _numba_setting("DISABLE_JIT") else ""
     return f"{version_of('numba')} LLVM {llvm} {target}{interpreted}"

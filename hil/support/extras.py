@@ -6,11 +6,13 @@ itself was installed: from a folder, a wheel or git.
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from functools import cache
 from importlib import metadata, util
 from typing import TYPE_CHECKING
 
@@ -61,8 +63,9 @@ def is_installed(extra: str) -> bool:
 def why_unusable(extra: str) -> str:
     """Why an extra cannot be used in this Python; empty if it can.
 
-    That its module can be imported is not enough: another version may be incompatible. A module that was
-    built by hand, because there is no wheel, belongs to no installed package and is accepted.
+    That its module is there is not enough: another version may be incompatible, or files of the package may
+    be missing. A module that was built by hand, because there is no wheel, belongs to no installed package
+    and is accepted.
     """
     if not is_installed(extra):
         return "not installed"
@@ -74,22 +77,72 @@ def why_unusable(extra: str) -> str:
         found = version_of(requirement.name)
         if not requirement.specifier.contains(found, prereleases=True):
             return f"{requirement.name} {found} is installed; it needs {_plain(requirement)}"
-    return ""
+    return "; ".join(
+        f"{part} {version_of(part)} lacks {len(files)} of its files ({files[0]})"
+        for part, files in _torn(fitting).items()
+    )
 
 
-def how_to_install(extra: str) -> str:
-    """The shell line that adds an extra to this Python, or what the extra needs if that is impossible."""
+def how_to_install(extra: str, *, again: bool = False) -> str:
+    """The shell line that adds an extra to this Python, or what the extra needs if that is impossible.
+
+    Args:
+        extra: the extra.
+        again: whether what is installed cannot be imported, so that the line installs it once more. A package
+            of which files are missing is always installed once more.
+    """
     wanted = _behind(extra)
     if not wanted:
         return f"install the extra {extra} of {DISTRIBUTION}"
     fitting = [r for r in wanted if _fits(r, extra)]
     if not fitting:
         return f"this Python cannot have the extra {extra}: {_needed(wanted)}"
-    names = " ".join(shlex.quote(_plain(r)) for r in fitting)
+    broken = (
+        [p for r in fitting for p in _parts(r) if version_of(p) != ABSENT] if again else [*_torn(fitting)]
+    )
+    wanted_names = [f"{part}=={version_of(part)}" for part in broken] or [_plain(r) for r in fitting]
+    names = " ".join(map(shlex.quote, wanted_names))
     python = shlex.quote(sys.executable)
     if util.find_spec("pip") is None:
-        return f"install it with: uv pip install --python {python} {names}"
-    return f"install it with: {python} -m pip install {names}"
+        return f"install it with: uv pip install {'--reinstall ' if broken else ''}--python {python} {names}"
+    forced = "--force-reinstall --no-deps " if broken else ""
+    return f"install it with: {python} -m pip install {forced}{names}"
+
+
+def _torn(requirements: Iterable[Requirement]) -> dict[str, list[str]]:
+    """The packages behind requirements of whose recorded files some are not there, with these files.
+
+    An upgrade that moves files from one package to another can leave that: pip installs the new one, and then
+    removes the files of the old one.
+    """
+    found = {part: _missing_files(part) for r in requirements for part in _parts(r)}
+    return {part: files for part, files in found.items() if files}
+
+
+def _parts(requirement: Requirement) -> Iterator[str]:
+    """The package of a requirement, and those that it requires in one version: parts of the same product."""
+    from packaging.requirements import Requirement
+
+    yield requirement.name
+    try:
+        texts = metadata.requires(requirement.name) or []
+    except metadata.PackageNotFoundError:
+        return
+    for pinned in (Requirement(text) for text in texts if "==" in text.partition(";")[0]):
+        if _fits(pinned, ""):
+            yield pinned.name
+
+
+def _missing_files(package: str) -> list[str]:
+    """Files that a package has recorded at its installation and that are not there, but compiled ones."""
+    try:
+        installed = metadata.distribution(package)
+    except metadata.PackageNotFoundError:
+        return []
+    base = str(installed.locate_file(""))
+    names = (line.rsplit(",", 2)[0] for line in (installed.read_text("RECORD") or "").splitlines())
+    own = (name for name in names if not name.startswith(("..", '"')) and not name.endswith(".pyc"))
+    return [name for name in own if not os.path.exists(os.path.join(base, name))]
 
 
 def _behind(extra: str) -> list[Requirement]:
@@ -101,13 +154,18 @@ def _fits(requirement: Requirement, extra: str) -> bool:
 
 
 def _requirements() -> list[Requirement]:
-    from packaging.requirements import Requirement
-
     try:
         found = metadata.requires(DISTRIBUTION) or []
     except metadata.PackageNotFoundError:
         found = []
-    return [Requirement(text) for text in found]
+    return list(_parsed(tuple(found)))
+
+
+@cache
+def _parsed(texts: tuple[str, ...]) -> tuple[Requirement, ...]:
+    from packaging.requirements import Requirement
+
+    return tuple(map(Requirement, texts))
 
 
 def _needed(wanted: Iterable[Requirement]) -> str:

@@ -17,7 +17,8 @@ from hil.console.json_files import read
 from hil.console.stop_server import PAGE, STOP, runs
 from hil.core.errors import DataError
 from hil.procedure.parameters import make_parameters
-from hil.procedure.procedure_lookup import load_procedure, shipped_names
+from hil.procedure.procedure_lookup import load_procedure
+from hil.procedure.shipped import shipped_names
 
 
 @pytest.fixture(scope="module")

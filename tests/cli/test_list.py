@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from hil.cli import main
+from hil.bench import supported_faults
+from hil.cli import declared, main
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
 from hil.faults.fault import parse_fault
@@ -40,6 +41,23 @@ def test_devices_are_those_of_the_registry(listed):
     assert listed("devices")["devices"] == {
         k.name: {m.name: m.title for m in k.models} for k in kinds().values()
     }
+
+
+def test_summaries_are_those_of_the_procedures(listed):
+    listed = listed("procedures")["procedures"]
+    assert listed == {name: load_procedure(name).summary for name in listed}
+
+
+def test_devices_of_an_installed_package_are_listed_too(listed, monkeypatch):
+    monkeypatch.setattr(declared, "entry_points", lambda group: ["a device package"])
+    assert declared.devices()["servos"].models[0].package == "hil"
+    assert [*declared.devices()] == [*kinds()]
+
+
+def test_faults_are_those_that_the_emulated_bench_declares(listed):
+    """If not: run docs/make_fault_reference.py."""
+    found = supported_faults(load_bench("emulated", emulate="all"))
+    assert listed("faults")["faults"] == {n: {k: [*o] for k, o in f.items()} for n, f in found.items()}
 
 
 def test_faults_are_those_of_the_bench_that_is_named(listed):

@@ -304,6 +304,7 @@ PLAIN_ROWS = st.lists(st.lists(CELLS, min_size=12, max_size=12).map(",".join), m
 @example(rows=['"' + "1" * 200_000], end="\n")
 @example(rows=["1,2\r3\r"], end="\n")
 @example(rows=["\0" * 12], end="\n")
+@example(rows=["0," * 11 + "1e400"] * 20, end="\n")
 def test_any_plain_table(tmp_path, rows, end):
     path = tmp_path / "line_x_1.csv"
     path.write_bytes((HEADER + ",x,y,theta\n" + end.join(rows) + "\n").encode())

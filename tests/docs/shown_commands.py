@@ -8,7 +8,7 @@ from itertools import pairwise
 import click
 
 from hil.cli import COMMANDS, cli
-from hil.procedure.procedure_lookup import shipped_names
+from hil.procedure.shipped import shipped_names
 
 ANY = "ANYTHING"
 """Stands for what a message fills in."""

@@ -30,7 +30,7 @@ def installed(monkeypatch):
     """Another set of packages: everything but pymavlink and distributed."""
     there = {"rerun", "pyarrow", "pyrealsense2"}
     monkeypatch.setattr(metadata, "requires", lambda name: OURS)
-    monkeypatch.setattr(metadata, "version", VERSIONS.__getitem__)
+    monkeypatch.setattr(extras, "version_of", VERSIONS.__getitem__)
     monkeypatch.setattr(util, "find_spec", lambda name: name in there or None)
 
 
@@ -50,11 +50,39 @@ def test_each_extra_says_what_it_lacks(installed):
 
 
 def test_a_library_built_by_hand_where_there_is_no_wheel_is_usable(installed, monkeypatch):
-    def version(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", version)
+    monkeypatch.setattr(extras, "version_of", lambda name: extras.ABSENT)
     assert extras.why_unusable("t265") == ""
+
+
+@pytest.fixture
+def torn(tmp_path, monkeypatch):
+    """A package as an upgrade can leave it: the part that took over its files has lost them."""
+    texts = {
+        extras.DISTRIBUTION: ['engine>=3; extra == "mujoco"'],
+        "engine": ["engine-core==4.0", "numpy"],
+        "engine-core": [],
+    }
+    for name, files in (
+        ("engine", ["mujoco/__init__.py"]),
+        ("engine_core", ["mujoco/_specs.so", "mujoco/a.pyc"]),
+    ):
+        folder = tmp_path / f"{name}-4.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {name.replace('_', '-')}\nVersion: 4.0\n"
+        )
+        (folder / "RECORD").write_text("".join(f"{file},sha256=x,1\n" for file in files))
+    (tmp_path / "mujoco").mkdir()
+    (tmp_path / "mujoco" / "__init__.py").write_text("import mujoco._specs\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(metadata, "requires", texts.__getitem__)
+
+
+def test_a_package_that_an_upgrade_has_torn_is_unusable_and_installed_once_more(torn):
+    assert extras.why_unusable("mujoco") == "engine-core 4.0 lacks 1 of its files (mujoco/_specs.so)"
+    line = extras.how_to_install("mujoco")
+    assert line.endswith("-m pip install --force-reinstall --no-deps engine-core==4.0")
+    assert extras.how_to_install("mujoco", again=True).endswith(" engine==4.0 engine-core==4.0")
 
 
 def test_info_reports_it(capsys, monkeypatch):

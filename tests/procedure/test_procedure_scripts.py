@@ -6,7 +6,8 @@ import pytest
 
 from hil.core.errors import ConfigError
 from hil.procedure import Procedure
-from hil.procedure.procedure_lookup import load_procedure, shipped_names
+from hil.procedure.procedure_lookup import load_procedure
+from hil.procedure.shipped import shipped_names
 
 MINE = """
 from hil.procedure import Context, procedure

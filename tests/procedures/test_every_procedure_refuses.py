@@ -4,8 +4,9 @@ import pytest
 from procedure_runs import options_of, watched
 
 from hil.core.errors import HilError
-from hil.procedure.procedure_lookup import load_procedure, shipped_names
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import run_procedure
+from hil.procedure.shipped import shipped_names
 
 
 def refused(name, folder, *, parameters=None, **source):

@@ -10,9 +10,10 @@ from procedure_runs import Run, options_of, watched
 from struck_runs import WAYS, check, struck
 
 from hil.procedure.parameters import make_parameters
-from hil.procedure.procedure_lookup import load_procedure, shipped_names
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.run_journal import read_journal
 from hil.procedure.runner import run_procedure
+from hil.procedure.shipped import shipped_names
 
 SHORT = {
     "adhesion_check": {"levels": 3, "dwell_s": 0.5, "slide": False},

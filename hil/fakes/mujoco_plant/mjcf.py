@@ -107,9 +107,10 @@ def load_mujoco() -> Any:
 
         silent = mujoco.get_mju_user_warning() is None
     except Exception as error:  # whatever a broken installation raises: a library, a module in its way
+        install = how_to_install("mujoco", again=True)
         raise ConfigError(
             f"emulation.plant = 'mujoco': `import mujoco` fails: {type(error).__name__}: {error}",
-            remedy=f"see that nothing else here is called mujoco, then {how_to_install('mujoco')}",
+            remedy=f"see that nothing else here is called mujoco, then {install}",
         ) from error
     if silent:  # it would write MUJOCO_LOG.TXT into the current directory
         mujoco.set_mju_user_warning(_log.warning)
