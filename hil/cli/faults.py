@@ -146,6 +146,8 @@ def _judge(
             kept.add(verdict)
             if verdict.why:
                 click.echo(f"FAILED {verdict.cell.name}: {'; '.join(verdict.why)}", err=True)
+                for line in verdict.told:
+                    click.echo(f"  told: {line}", err=True)
             report("cells", count, len(cells))
 
         spread(partial(run_cell, bench=bench), cells, lost=lost, done=done, workers=workers)
@@ -203,6 +205,8 @@ def _shown(asked: Asked) -> str:
 
 
 def _json(verdicts: Sequence[CellVerdict], table: Path, page: Path) -> dict[str, object]:
+    from hil.procedure.faults import told_rows
+
     return {
         "cells": len(verdicts),
         "failed": [
@@ -214,10 +218,12 @@ def _json(verdicts: Sequence[CellVerdict], table: Path, page: Path) -> dict[str,
                 "plant": v.cell.plant,
                 "specs": list(v.cell.specs),
                 "why": "; ".join(v.why),
+                "told": list(v.told),
             }
             for v in verdicts
             if v.why
         ],
+        "told": told_rows(verdicts),
         "quiet": [v.cell.name for v in verdicts if not v.reported and not v.why],
         "table": str(table),
         "page": str(page),

@@ -45,8 +45,7 @@ class EventRows:
 
     def join(self, row: Mapping[str, Any]) -> None:
         """Add a row of other event rows."""
-        what = _NUMBER.sub("#", row["what"])
-        key = (row["bench"], row["level"], row["device"], what)
+        key = (row["bench"], row["level"], row["device"], without_numbers(row["what"]))
         known = self._rows.get(key)
         if known is not None:
             known["count"] += row["count"]
@@ -64,6 +63,11 @@ class EventRows:
             the device's samples count for nothing from then on.
         """
         return [dict(row) for row in self._rows.values()]
+
+
+def without_numbers(text: str) -> str:
+    """A text with a sign in place of each number: texts that differ in their numbers only become the same."""
+    return _NUMBER.sub("#", text)
 
 
 def event_line(row: Mapping[str, Any]) -> str:

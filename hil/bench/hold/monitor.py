@@ -30,6 +30,7 @@ from hil.core.interfaces import Sink
 from hil.core.registry import base_of, further, kinds
 from hil.core.signals import (
     KINDS,
+    SERVOS,
     CycleRecord,
     ImuSample,
     Inputs,
@@ -138,6 +139,7 @@ class HoldMonitor(Sink):
         sources = [(name, self._seeing[name]) for name in self._travel.names]
         self._motion_sources = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in sources]
         self._doubted: dict[str, bool] = {}
+        self._unread: set[str] = set()
         self._jumps = FrameJumps()
         self._let_go = False
         self.last_state: RobotState | None = None
@@ -227,6 +229,7 @@ class HoldMonitor(Sink):
         }
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
+        self._unread.clear()
         while True:
             hold = servos.look_after()
             time.on_servo_status(hold)
@@ -305,8 +308,9 @@ class HoldMonitor(Sink):
 
     def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
         """Add the new samples of servos and sensors to the trails."""
-        now_ns = hold.t_ns
-        seen = [(JOINTS, hold.position_rad)] if np.isfinite(hold.position_rad).all() else []
+        now_ns, read = hold.t_ns, np.isfinite(hold.position_rad)
+        self._unread.update(name for name, known in zip(SERVOS, read, strict=True) if not known)
+        seen = [(JOINTS, hold.position_rad)] if read.all() else []
         for name in self._seeing:
             if name != JOINTS:
                 seen += [(name, value) for value in self._motion_values(name)]
@@ -360,7 +364,9 @@ class HoldMonitor(Sink):
             servos = lacking_in_words(hold) if hold.trouble else "torque is on"
             return "; ".join([felt, servos] if felt else [servos])
         if JOINTS not in seen:
-            return "torque is on, but the servos have not been seen at rest for long enough"
+            some = len(self._unread) < len(SERVOS) and ", ".join(sorted(self._unread))
+            who = f"{some} did not answer each time, so that they" if some else "the servos"
+            return f"torque is on, but {who} have not been seen at rest for long enough"
         for name in seen:
             if not self._doubted.get(name) and trails[name].moves():
                 return f"torque is on, but the robot still moves by its {kinds()[name].noun}"

@@ -17,7 +17,7 @@ from hil.procedure.faults.cases import (
 from hil.procedure.faults.drive import run_cell
 from hil.procedure.faults.judge import CellVerdict, lost
 from hil.procedure.faults.matrix_table import matrix_page, write_faults, write_page
-from hil.procedure.faults.summary import summary
+from hil.procedure.faults.summary import summary, told_rows
 from hil.procedure.faults.verdict_log import KeptVerdicts, missing
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "random_cells",
     "run_cell",
     "summary",
+    "told_rows",
     "write_faults",
     "write_page",
 ]

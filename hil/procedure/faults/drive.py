@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,11 +13,14 @@ import numpy as np
 from hil.bench import Bench, open_bench
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import HilError
+from hil.core.event_rows import event_line
 from hil.core.geometry import Array
+from hil.core.suspects import SEPARATOR
 from hil.procedure.faults.cases import DURATION_S, Cell
 from hil.procedure.faults.judge import CellVerdict, judge
 from hil.procedure.faults.movement_bounds import WATCHED_S
-from hil.procedure.faults.observation import Seen, ended_by
+from hil.procedure.faults.observation import Figures, Seen, Told, ended_by
+from hil.procedure.tracking_errors import tracking_errors
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
@@ -27,28 +31,48 @@ if TYPE_CHECKING:
 _LOOK_NS = nanoseconds(0.02)
 START, WAY_M, HOLD_S = np.zeros(3), 0.12, 0.3
 """Start pose, length of the climb and duration of the hold at its end."""
+_END = 30
+"""Number of cycles over which the end of a drive is averaged, as by `tracking_errors`."""
 _LOOKS = 10
 """Number of position samples after the bench has closed."""
 
 
 def run_cell(cell: Cell, bench: str = "emulated") -> CellVerdict:
     """Run one cell on a fully emulated bench; return its verdict."""
+    return judge(cell, observed(cell, bench))
+
+
+def observed(cell: Cell, name: str = "emulated") -> Seen:
+    """Run one cell; return what was observed, also beside the same world without a fault."""
+    way: list[Array] = []
     with tempfile.TemporaryDirectory(prefix="hil-faults-") as folder:
         path = Path(folder) / "run.mcap"
-        seen = _drive(cell, bench, path)
+        seen = _drive(cell, name, path, way)
         seen.unreadable = _unreadable(path) if seen.cycles else ""
-    return judge(cell, seen)
+    pairs = zip(way, _way_without(name, cell.seed, cell.plant), strict=False)
+    seen.effect_m = max((float(np.hypot(*(a - b))) for a, b in pairs), default=0.0)
+    return seen
 
 
-def _drive(cell: Cell, name: str, path: Path) -> Seen:
+@lru_cache(maxsize=64)
+def _way_without(name: str, seed: int, plant: str) -> tuple[Array, ...]:
+    """Return the true positions (2,), m, in each cycle of the drive without a fault."""
+    way: list[Array] = []
+    with open_bench(name, seed=seed, overrides={"emulation.plant": plant}) as bench:
+        _climb(bench, Seen(), way)
+    return tuple(way)
+
+
+def _drive(cell: Cell, name: str, path: Path, way: list[Array]) -> Seen:
+    """Run one cell; adds the true position (2,), m, in each cycle of the drive to `way`."""
     seen = Seen()
     bench = open_bench(name, seed=cell.seed, faults=cell.specs, overrides={"emulation.plant": cell.plant})
-    bench.warns_not_held = False
+    bench.warns_not_held, seen.on_wall = False, bench.on_wall
     stopped, end = START[:2], _follow(bench, seen)
     try:
         with bench:
             bench.add_sink(McapRecorder(str(path), bench.header(), lossless=True))
-            _climb(bench, seen)
+            _climb(bench, seen, way)
             stopped = _place(bench)
             seen.stopped_s = bench.clock.now_ns() / NS_PER_S
     except HilError as error:
@@ -58,6 +82,10 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
     seen.held, seen.looked_s = bench.held if bench.held.opened else None, bench.clock.now_ns() / NS_PER_S
     seen.moved_m = float(np.hypot(*(_place(bench) - stopped)))
     _watch(bench, seen)
+    truth = bench.truth()
+    if truth is not None:
+        seen.left_adhesion_n, seen.left_thrust_n = truth.adhesion_n, truth.thrust_n
+    seen.events = [Told(tuple(row["device"].split(SEPARATOR)), event_line(row)) for row in bench.seen.rows()]
     end()
     return seen
 
@@ -84,22 +112,32 @@ def _follow(bench: Bench, seen: Seen) -> Callable[[], None]:
     return bench.clock.schedule(look, bench.clock.now_ns())
 
 
-def _climb(bench: Bench, seen: Seen) -> None:
-    """Drive up; a `HilError` that ends the drive is stored, the robot is then stopping."""
+def _climb(bench: Bench, seen: Seen, way: list[Array]) -> None:
+    """Drive up; a `HilError` that ends the drive is stored, the robot is then stopping.
+
+    Adds the true position (2,), m, in each cycle to `way`.
+    """
 
     def look(record: CycleRecord) -> None:
         seen.cycles += 1
-        seen.events += [event.suspects for event in record.events]
-        truth = bench.truth()
-        if truth is not None:
-            seen.off_m = np.abs(truth.pose_body_in_wall - record.state.pose_body_in_wall)[:2]
-            seen.sigma_m = np.sqrt(np.diag(record.state.covariance)[:2])
+        here = _place(bench)
+        way.append(here)
+        seen.off_m = np.abs(here - record.state.pose_body_in_wall[:2])
+        seen.sigma_m = np.sqrt(np.diag(record.state.covariance)[:2])
+        if record.reference is not None:
+            apart_m = float(np.hypot(*(here - record.reference.pose_in_wall[:2])))
+            seen.astray_m = max(seen.astray_m, apart_m)
 
-    way = line(START, [WAY_M, 0.0, 0.0], duration_s=DURATION_S)
+    goal = line(START, [WAY_M, 0.0, 0.0], duration_s=DURATION_S)
     try:
-        bench.drive(way, start_pose=START, hold_s=HOLD_S, on_cycle=look)
+        motion = bench.drive(goal, start_pose=START, hold_s=HOLD_S, on_cycle=look)
     except HilError as error:
         seen.stop = ended_by(error)
+        return
+    errors = tracking_errors(motion)
+    said_m = 1e-3 * float(np.hypot(errors["end_x"], errors["end_y"]))
+    true_m = float(np.hypot(*(np.mean(way[-_END:], axis=0) - [WAY_M, 0.0])))
+    seen.figures = Figures(said_m, true_m, marked=bool(errors["doubt"]))
 
 
 def _watch(bench: Bench, seen: Seen) -> None:

@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.result_files import FAULTS_PAGE, FAULTS_TABLE
-from hil.procedure.faults.movement_bounds import MOST_OFF_M, SIGMAS, SLACK_M, STILL_M, WATCHED_S
+from hil.procedure.faults.movement_bounds import (
+    MOST_ASTRAY_M,
+    MOST_NAMED,
+    MOST_OFF_M,
+    SIGMAS,
+    SLACK_M,
+    STILL_M,
+    WATCHED_S,
+)
 from hil.report.pages import environment
 from hil.support.atomic_files import put_whole, refused, write_text
 
@@ -21,14 +29,15 @@ opens, in motion, where it ends, and for one second in motion. These are the cel
 {command}
 ```
 
-A cell passes if a stop names the kind of the faulty device, the robot moves no farther than is promised for
-its class of faults, a robot that was reported HELD moves by less than {still_mm:g} mm in the {watched_s:g} s
-after the bench has closed, servos that come back are held again, the recording can be read, and a run that
-reaches its end has an estimate wrong by less than {sigmas:g} of its sigmas plus {slack_mm:g} mm, and by less
-than {most_mm:g} mm. A bench that does not open is observed like any other. How it ended: `on` the run went
-on, `stop` the robot was stopped, `none` the bench did not open. A star: no stop or event names the device,
-and the run went on unchanged; the last table gives the reason. Of eight servos and four encoders one of each
-kind represents the others.
+A cell passes if a stop names the faulty device and no more than {most_named} kinds of devices, the robot
+moves no farther than is promised for its class of faults, a robot that was reported HELD moves by less than
+{still_mm:g} mm in the {watched_s:g} s after the bench has closed, servos that come back are held again, the
+recording can be read, the robot is never {astray_mm:g} mm off its reference, and a run that reaches its end
+measures that end right or marks it, names the device if the fault had an effect, and has an estimate wrong by
+less than {sigmas:g} of its sigmas plus {slack_mm:g} mm, and by less than {most_mm:g} mm. A bench that does
+not open is observed like any other. How it ended: `on` the run went on, `stop` the robot was stopped, `none`
+the bench did not open. A star: no stop or event names the device, and the run went on unchanged; the last
+table gives the reason. Of eight servos and four encoders one of each kind represents the others.
 
 What the bench does not protect from: a fan that loses power or whose controller restarts, propellers that
 lose power or cannot decode their commands, a wall that gives way, a computer that dies while servos
@@ -60,6 +69,8 @@ def matrix_page(summary: Mapping[str, Any]) -> str:
             still_mm=1e3 * STILL_M,
             slack_mm=1e3 * SLACK_M,
             most_mm=1e3 * MOST_OFF_M,
+            most_named=MOST_NAMED,
+            astray_mm=1e3 * MOST_ASTRAY_M,
         )
     ]
     if summary["classes"]:

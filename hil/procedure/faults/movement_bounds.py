@@ -6,12 +6,14 @@ weaker bounds of another one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 from hil.bench.hold.adhesion_force import MEASURES
 from hil.core.device import DeviceKind
 from hil.core.registry import kinds
+from hil.core.signals import SERVOS
 from hil.procedure.faults.cases import Cell
 
 FARTHEST_M, STILL_M = 0.005, 0.0005
@@ -24,10 +26,36 @@ WATCHED_S = 5.0
 """Time for which the robot is observed after the bench has closed."""
 SIGMAS, SLACK_M, MOST_OFF_M = 3.0, 0.005, 0.04
 """Largest error of the final estimate: SIGMAS times its sigma plus SLACK_M, and at most MOST_OFF_M."""
-LEAST_ADHESION_N, LEAST_THRUST_N = 21.0, 13.0
-"""Below these forces, of the fan's 45 N and the propellers' 22 N, the shipped robot slides down its wall."""
+MOST_ASTRAY_M = 0.02
+"""Largest true distance from the reference of a driven robot: a wrong sensor is found within 15 mm."""
+EFFECT_M, SAGGED_N = 0.002, (36.0, 13.0)
+"""A fault had an effect beyond this true distance from a run without it, or below these forces of fan and
+propellers: four fifths of the fan's 45 N, and what the propellers must push with then. Noise that is drawn
+anew makes a distance of up to 1.4 mm.
+"""
+PASS_M, FIGURE_M = 0.01, 0.005
+"""Distance from the goal with which a drive counts as good, and largest error of a figure without a mark."""
+MOST_NAMED = 4
+"""Largest number of kinds of devices that one stop may name: of two that disagree, and two that press."""
+LEAST_ADHESION_N, LEAST_THRUST_N = 21.0, 8.0
+"""Below the first force the shipped robot slides while its propellers push; below the second it slides even
+while its fan presses as hard as it can.
+"""
+_NO_COMMANDS = ("bus_off", "unplug", "baud_mismatch", "silent")
+_TAKE_FORCE: Mapping[str, Collection[str]] = {
+    "adhesion": ("off", "brownout", "reset", "adhesion_loss", *_NO_COMMANDS),
+    "thrust": (
+        *("off", "brownout", "reset", *_NO_COMMANDS),
+        *("garbage", "intermittent", "slow", "drop", "corrupt", "truncate"),
+    ),
+}
+"""Faults by which a device itself stops pressing: it has no power, restarts, or receives no commands. A wrong
+report is none: the bench does what follows.
+"""
 SEES = ("tracker", "mocap")
 """Kinds of devices of the shipped bench that measure a slide."""
+_DIRECTION = re.compile(r"direction=(\w+)")
+_JOINT = re.compile(r"servo\.(\w+)")
 _LETS_GO = (
     "off",
     "brownout",
@@ -60,8 +88,7 @@ class FaultClass:
 
 
 PRESSES = FaultClass(
-    "what holds the robot",
-    "5 mm, or, where fan or propellers truly give too little, a reported fall: never HELD",
+    "what holds the robot", "5 mm; a fall only where the device itself stops pressing, and never HELD"
 )
 TORQUE = FaultClass(
     "all servos without supply or bus",
@@ -102,9 +129,37 @@ def _class_of(device: str, fault: str) -> FaultClass:
 
 
 def let_go(cell: Cell, adhesion_n: float, thrust_n: float) -> bool:
-    """Whether the true force of a faulty holding device was too low."""
-    least = {"adhesion": adhesion_n < LEAST_ADHESION_N, "thrust": thrust_n < LEAST_THRUST_N}
-    return any(least.get(kind, False) for kind in faulty_kinds(cell))
+    """Whether a faulty device has itself stopped pressing, and the robot cannot be held without it."""
+    short = {"adhesion": adhesion_n < LEAST_ADHESION_N, "thrust": thrust_n < LEAST_THRUST_N}
+    parts = [(kind_of(device).name, fault, spec) for device, fault, spec in _parts(cell)]
+    return any(
+        short.get(kind, False) and fault in _TAKE_FORCE.get(kind, ()) and _reaches(fault, spec)
+        for kind, fault, spec in parts
+    )
+
+
+def _reaches(fault: str, spec: str) -> bool:
+    """Whether a fault of a wire stops what is sent towards the device."""
+    given = _DIRECTION.search(spec)
+    return (given[1] if given else "in" if fault == "silent" else "both") != "in"
+
+
+def faulty_joints(cell: Cell) -> frozenset[str]:
+    """Return the names of single servos with a fault, as `SERVOS` has them."""
+    found = (_JOINT.fullmatch(device) for device in cell.device.split("+"))
+    names = (match[1] for match in found if match)
+    return frozenset(SERVOS[int(name) - 1] if name.isdigit() else name for name in names)
+
+
+def away_joints(cell: Cell) -> frozenset[str]:
+    """Return the names of single servos without supply or bus until the end."""
+    away = [d for d, fault, spec in _parts(cell) if _class_of(d, fault) is ONE_SERVO and _lasts(spec)]
+    return faulty_joints(replace(cell, device="+".join(away))) if away else frozenset()
+
+
+def crept_most_m(cell: Cell, looked_s: float) -> float:
+    """Return how far a robot that is NOT HELD may move, m, while it is observed after the close."""
+    return farthest_m(cell, looked_s, looked_s + WATCHED_S)
 
 
 def farthest_m(cell: Cell, stopped_s: float, looked_s: float) -> float:

@@ -36,17 +36,49 @@ def ended_by(error: HilError) -> Ended:
     return Ended(text, type(error).__name__)
 
 
+@dataclass(frozen=True)
+class Told:
+    """What one event told.
+
+    Attributes:
+        suspects: names of the suspected devices.
+        text: the message.
+    """
+
+    suspects: tuple[str, ...]
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The end of the drive as the bench measured it and as it truly was: distances from the goal, m.
+
+    Attributes:
+        said_m: distance that the bench reports; NaN where it reports none.
+        true_m: true distance.
+        marked: whether the bench marks its figure, because a sensor was left out.
+    """
+
+    said_m: float
+    true_m: float
+    marked: bool = False
+
+
 @dataclass
 class Seen:
     """Observations of one run. World times in s, distances in m.
 
     Attributes:
         cycles: number of cycles.
-        events: suspected devices of each event.
+        on_wall: whether gravity truly pulls along the surface.
+        events: events of the drive, and of what ended it.
         stop: what ended the drive; None if it reached its end.
         error: error of opening or closing; None for none.
         foreign: an exception that is not from this project.
         unreadable: why the recording cannot be read.
+        astray_m: largest true distance from the reference during the drive.
+        effect_m: largest true distance from a run of the same world without a fault, during the drive.
+        figures: the end of the drive; None if the run did not reach it.
         off_m, sigma_m: (2,) true error of the last estimate, and its standard deviation.
         held: final report of the bench, after its hold check; None if there is none.
         stopped_s, looked_s: time of the stop command, and of the final report.
@@ -54,14 +86,19 @@ class Seen:
         crept_m: largest distance from there in the seconds after the bench has closed.
         fallen: whether the true robot fell at any time.
         adhesion_n, thrust_n: least true holding forces at any time, N.
+        left_adhesion_n, left_thrust_n: true holding forces at the end of the observation, N.
     """
 
     cycles: int = 0
-    events: list[tuple[str, ...]] = field(default_factory=list)
+    on_wall: bool = True
+    events: list[Told] = field(default_factory=list)
     stop: Ended | None = None
     error: Ended | None = None
     foreign: str = ""
     unreadable: str = ""
+    astray_m: float = 0.0
+    effect_m: float = 0.0
+    figures: Figures | None = None
     off_m: Array = field(default_factory=lambda: np.zeros(2))
     sigma_m: Array = field(default_factory=lambda: np.zeros(2))
     held: Held | None = None
@@ -72,6 +109,8 @@ class Seen:
     fallen: bool = False
     adhesion_n: float = 1e3
     thrust_n: float = 1e3
+    left_adhesion_n: float = 45.0
+    left_thrust_n: float = 22.0
 
     @property
     def state(self) -> str:

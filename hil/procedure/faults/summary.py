@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hil.core.event_rows import without_numbers
 from hil.procedure.faults.cases import MOMENTS
 from hil.procedure.faults.judge import CellVerdict
 from hil.procedure.faults.movement_bounds import CLASSES, FaultClass, class_of, kind_of
@@ -44,6 +45,16 @@ def quiet_rows(verdicts: Sequence[CellVerdict]) -> list[dict[str, Any]]:
     ]
 
 
+def told_rows(verdicts: Sequence[CellVerdict]) -> list[dict[str, Any]]:
+    """Return what the bench told of each fault: `device`, `fault` and `lines`, of like ones the first."""
+    found: dict[tuple[str, str], dict[str, str]] = {}
+    for v in verdicts:
+        lines = found.setdefault((v.cell.device, v.cell.fault), {})
+        for line in v.told:
+            lines.setdefault(without_numbers(line), f"{v.cell.moment}: {line}")
+    return [{"device": d, "fault": f, "lines": list(lines.values())} for (d, f), lines in found.items()]
+
+
 def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planned: int) -> dict[str, Any]:
     """Return all data of the page.
 
@@ -55,7 +66,7 @@ def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planne
 
     Returns:
         `verdict`, `bench`, `command`, `cells`, `planned`, `quiet_cells`, `classes`, `plants` with rows by
-        device and fault, `failed`, `quiet`; a JSON object.
+        device and fault, `failed`, `quiet`, `told`; a JSON object.
     """
     failed = [v for v in verdicts if v.why]
     return {
@@ -71,6 +82,7 @@ def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planne
             for plant in dict.fromkeys(v.cell.plant for v in verdicts)
         ],
         "failed": [{"cell": v.cell.name, "why": "; ".join(v.why)} for v in failed],
+        "told": told_rows(verdicts),
         "quiet": quiet_rows(verdicts),
     }
 

@@ -103,7 +103,7 @@ def _read(path: Path, head: dict[str, str]) -> tuple[CellVerdict, ...]:
 
 def _verdict(tree: dict[str, Any]) -> CellVerdict:
     cell = Cell(**{**tree["cell"], "specs": tuple(tree["cell"]["specs"])})
-    lists = {name: tuple(tree[name]) for name in ("why", "others")}
+    lists = {name: tuple(tree[name]) for name in ("why", "others", "told")}
     return CellVerdict(**{**tree, **lists, "cell": cell, "measured": Measured(**tree["measured"])})
 
 
