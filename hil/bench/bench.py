@@ -21,7 +21,8 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike
 from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
-from hil.core.signals import CycleRecord, Event, RobotState
+from hil.core.registry import kinds
+from hil.core.signals import KINDS, CycleRecord, Event, RobotState
 from hil.fakes.body_interface import PlantState
 from hil.fakes.world import World
 from hil.faults.fault import Fault
@@ -32,6 +33,7 @@ from hil.loop.pipeline import ControlPipeline
 from hil.loop.realtime import warm_up
 from hil.loop.timing import LoopStatistics
 from hil.loop.user_parts import own_name
+from hil.recording.cycle_log import CycleLog
 from hil.recording.runs import START_COVARIANCE, RunStart
 from hil.robot.trajectories import Trajectory
 
@@ -260,17 +262,24 @@ class Bench(HeldDevices):
     def _run(
         self, pipeline: ControlPipeline, start: RunStart, duration_s: float, on_cycle: OnCycle | None
     ) -> Motion:
-        records: list[CycleRecord] = []
-        duration_ns = nanoseconds(duration_s)
+        log = self.new_log()
+        duration_ns, began_ns = nanoseconds(duration_s), None
 
         def until(record: CycleRecord) -> bool:
-            records.append(record)
+            nonlocal began_ns
+            if began_ns is None:
+                began_ns = record.start_ns
+            log.append(record)
             if on_cycle is not None:
                 on_cycle(record)
-            return record.start_ns >= records[0].start_ns + duration_ns + pipeline.waited_ns
+            return record.start_ns >= began_ns + duration_ns + pipeline.waited_ns
 
         self.run(pipeline, start, until)
-        return Motion(tuple(records))
+        return log.motion()
+
+    def new_log(self) -> CycleLog:
+        """An empty log for the cycles of one run of this bench."""
+        return CycleLog(tuple(kinds()[name] for name in self.rig.sensors if name not in KINDS))
 
     def run(self, pipeline: ControlPipeline, start: RunStart, until: Until, *, drop_old: bool = True) -> None:
         """Run a pipeline from a known state until `until(record)` is true; the robot is stopped at the end.

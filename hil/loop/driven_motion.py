@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from hil.core.errors import UsageError, did_you_mean
 from hil.core.geometry import Array
 from hil.core.interpolation import between_samples
 from hil.core.signals import CycleRecord, Event, RobotState
+from hil.loop.motion_columns import UPPER, MotionColumns
 
 CAPTURE = "mocap"
 LONGEST_GAP_S = 0.25
@@ -26,35 +29,55 @@ HELD_S = 0.1
 
 @dataclass(frozen=True)
 class Motion:
-    """Records of one run of the loop; arrays have one row per cycle, poses are (x m, y m, theta rad)."""
+    """One run of the loop; arrays have one row per cycle, poses are (x m, y m, theta rad).
 
-    records: tuple[CycleRecord, ...]
+    Attributes:
+        records: cycles of the run. Those of a long drive are on disk, and each pass reads them anew: the
+            arrays are the quicker way to what they hold.
+        known: numbers of these cycles, where they are known already.
+    """
+
+    records: Sequence[CycleRecord]
+    known: MotionColumns | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def columns(self) -> MotionColumns:
+        """Numbers of all cycles."""
+        return MotionColumns.of(self.records) if self.known is None else self.known
+
+    def then(self, following: Motion) -> Motion:
+        """This motion and the one that followed it, as one."""
+        columns = MotionColumns.joined((self.columns, following.columns))
+        return Motion((*self.records, *following.records), columns)
 
     @property
     def t_s(self) -> Array:
         """Time since the first cycle, shape (n,), s."""
-        t_ns = np.array([r.inputs.t_ns for r in self.records], dtype=np.int64)
+        t_ns = self.columns.t_ns
         return np.asarray((t_ns - t_ns[:1]) / NS_PER_S, dtype=np.float64)
 
     @property
     def reference(self) -> Array:
         """Reference poses in the wall frame, shape (n, 3); NaN while only observing."""
-        return _rows([r.reference.pose_in_wall if r.reference else None for r in self.records], 3)
+        return self.columns.reference
 
     @property
     def estimate(self) -> Array:
         """Estimated poses of the body in the wall frame, shape (n, 3)."""
-        return _rows([r.state.pose_body_in_wall for r in self.records], 3)
+        return self.columns.estimate
 
     @property
     def twist(self) -> Array:
         """Estimated body twist, shape (n, 3)."""
-        return _rows([r.state.twist_body for r in self.records], 3)
+        return self.columns.twist
 
     @property
     def covariance(self) -> Array:
         """Covariance of pose and twist, shape (n, 6, 6)."""
-        return np.array([r.state.covariance for r in self.records]).reshape(-1, 6, 6)
+        rows, (up, across) = self.columns.covariance, UPPER
+        full = np.empty((len(rows), 6, 6))
+        full[:, up, across] = full[:, across, up] = rows
+        return full
 
     @property
     def mocap(self) -> Array:
@@ -63,13 +86,15 @@ class Motion:
         That is before the first sample, inside gaps longer than `LONGEST_GAP_S`, and more than `HELD_S` after
         the last sample.
         """
-        found = [m for r in self.records for m in r.measurements.mocap if m.valid]
-        at_ns = np.array([m.stamp.t_ns for m in found], dtype=np.float64)
-        poses = np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)
+        columns = self.columns
+        at_ns = columns.mocap_ns.astype(np.float64)
         order = np.argsort(at_ns, kind="stable")
-        wanted = np.array([r.inputs.t_ns for r in self.records], dtype=np.float64)
         return between_samples(
-            wanted, at_ns[order], poses[order], longest=LONGEST_GAP_S * NS_PER_S, after=HELD_S * NS_PER_S
+            columns.t_ns.astype(np.float64),
+            at_ns[order],
+            columns.mocap[order],
+            longest=LONGEST_GAP_S * NS_PER_S,
+            after=HELD_S * NS_PER_S,
         )
 
     @property
@@ -96,22 +121,17 @@ class Motion:
     @property
     def wheels(self) -> Array:
         """Aligned wheel angles then steering angles, shape (n, 8), rad; NaN where not read."""
-        rows = [
-            np.r_[r.measurements.wheels[-1].wheel_angle_rad, r.measurements.wheels[-1].steering_rad]
-            if r.measurements.wheels
-            else None
-            for r in self.records
-        ]
-        return _rows(rows, 8)
+        return self.columns.wheels
 
     @property
     def events(self) -> tuple[Event, ...]:
         """All events in order."""
-        return tuple(e for r in self.records for e in r.events)
+        return self.columns.events
 
     def diagnostic(self, name: str) -> Array:
         """One estimator diagnostic over time, shape (n,); NaN where absent."""
-        return np.array([r.state.diagnostics.get(name, np.nan) for r in self.records])
+        found = self.columns.diagnostics.get(name)
+        return np.full(len(self.columns), np.nan) if found is None else found
 
     def observer(self, name: str) -> Array:
         """Poses of a further estimator that ran in parallel with the one in the loop, (n, 3).
@@ -119,22 +139,16 @@ class Motion:
         Raises:
             UsageError: no estimator of that name ran.
         """
-        ran = dict.fromkeys(one for r in self.records for one in r.observers)
-        if self.records and name not in ran:
+        ran = self.columns.observers
+        if len(self.columns) and name not in ran:
             raise UsageError(
                 f"no observer {name!r} ran beside this motion",
                 expected="one of " + ", ".join(ran) if ran else "",
                 remedy=did_you_mean(name, ran) or f"drive with observers=({name!r},)",
             )
-        states = [r.observers.get(name) for r in self.records]
-        return _rows([None if state is None else state.pose_body_in_wall for state in states], 3)
+        return ran.get(name, np.zeros((0, 3)))
 
 
 def _uses(state: RobotState) -> bool:
     """Whether an estimate comes from the camera as well."""
     return "nis_mean_tracker" in state.diagnostics
-
-
-def _rows(values: list[Array | None], width: int) -> Array:
-    missing = np.full(width, np.nan)
-    return np.array([missing if v is None else v for v in values], dtype=np.float64).reshape(-1, width)

@@ -38,11 +38,11 @@ def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, stee
     pipeline = bench.make_pipeline(script, feedback=_FEEDBACK)
     start = RunStart(bench.start_state(script.pose), _FEEDBACK, SCRIPT, trajectory=script.to_mapping())
     end_ns = bench.clock.now_ns() + nanoseconds(script.duration_s)
-    records: list[CycleRecord] = []
+    log = bench.new_log()
 
     def until(record: CycleRecord) -> bool:
-        records.append(record)
+        log.append(record)
         return record.start_ns >= end_ns
 
     bench.run(pipeline, start, until, drop_old=False)
-    return Motion(tuple(records))
+    return log.motion()

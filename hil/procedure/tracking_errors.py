@@ -150,7 +150,7 @@ def watched_to_a_seen_end(bench: Bench, motion: Motion) -> Motion:
     for _ in range(round(_LONGER_S / _END_S)):
         if _end_is_known(_seen(motion)):
             break
-        motion = Motion(motion.records + bench.observe(_END_S, feedback="odometry").records)
+        motion = motion.then(bench.observe(_END_S, feedback="odometry"))
     return motion
 
 

@@ -1,0 +1,93 @@
+"""How the memory of a drive grows, kB per control cycle, and what an hour on the wall takes at most.
+
+    python benchmarks/memory.py           a minute, then four minutes, at rest on the wall
+    python benchmarks/memory.py --hour    a procedure of an hour on the wall, with recording and page
+
+Everything runs in virtual time at 100 Hz. Ends with 1 above 1 kB per cycle, or above 450 MB in the hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import hil
+
+WANTED_KB, WANTED_MB = 1.0, 450.0
+WARM_UP_S, SHORT_S, LONG_S = 30.0, 60.0, 240.0
+HOUR = '''"""Climb and descend for a while, and measure where the robot ends."""
+
+import numpy as np
+from hil.procedure import Context, Measurement, procedure
+from hil.procedure.tracking_errors import enable_hold
+from hil.robot.trajectories import line
+
+
+@procedure(name="long_drive", needs=("servos", "mocap"),
+           measurements=[Measurement("end_error", "mm", high=60.0, rationale="odometry sags")])
+def run(ctx: Context) -> None:
+    """Drive up slowly, for as long as asked."""
+    start = enable_hold(ctx.bench)
+    with ctx.step("drive"):
+        motion = ctx.bench.drive(line(start, start + [0.5, 0.0, 0.0], duration_s=DURATION), feedback="ekf")
+    ctx.measure("end_error", 1e3 * float(np.abs(motion.mocap[-1, 0] - start[0] - 0.5)))
+'''
+
+
+def resident_mb() -> float:
+    """Memory of this process that is in use now, MB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return 1e-6 * pages * resource.getpagesize()
+
+
+def growth_kb() -> dict[str, float]:
+    """Growth of the process in two rests of different length, kB per cycle."""
+    found = {}
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.observe(WARM_UP_S, feedback="ekf")
+        for duration_s in (SHORT_S, LONG_S):
+            gc.collect()
+            before_mb = resident_mb()
+            motion = bench.observe(duration_s, feedback="ekf")
+            found[f"{duration_s:.0f} s"] = 1e3 * (resident_mb() - before_mb) / len(motion.records)
+            del motion
+    return found
+
+
+def hour_mb(duration_s: float) -> float:
+    """Largest memory of `hil run` on a drive of that length, MB."""
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder) / "long_drive.py"
+        script.write_text(HOUR.replace("DURATION", repr(duration_s)), encoding="utf-8")
+        command = [sys.executable, "-m", "hil", "run", str(script), "--out", f"{folder}/out"]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return 1e-3 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--hour", nargs="?", const=3600.0, type=float, help="length of the long drive, s")
+    asked = parser.parse_args()
+    if asked.hour:
+        most_mb = hour_mb(asked.hour)
+        print(json.dumps({"drive_s": asked.hour, "largest_mb": round(most_mb, 1)}))
+        return int(most_mb > WANTED_MB)
+    found = growth_kb()
+    print(json.dumps({name: round(value, 2) for name, value in found.items()}))
+    return int(max(found.values()) > WANTED_KB)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
