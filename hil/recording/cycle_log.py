@@ -58,9 +58,11 @@ class CycleLog(Sequence[CycleRecord]):
         self._length += 1
 
     def motion(self) -> Motion:
-        """The drive so far."""
+        """The whole drive; the log takes no more records then."""
         rest = [self._block(i) for i in range(len(self._columns), len(self._blocks))]
-        return Motion(self, MotionColumns.joined([*self._columns, *map(MotionColumns.of, rest)]))
+        columns = MotionColumns.joined([*self._columns, *map(MotionColumns.of, rest)])
+        self._columns.clear()
+        return Motion(self, columns)
 
     def _spill(self, number: int) -> None:
         """Write a block to the disk, and keep its numbers."""

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from hil.core.interpolation import between_samples
+from hil.core.signals import RobotState
 from hil.loop.driven_motion import HELD_S, LONGEST_GAP_S, Motion
+
+AT_REST = RobotState(0, np.zeros(3), np.zeros(3), np.eye(6))
 
 
 def motion(at_s, until_s, cycle_s=0.02):
@@ -22,7 +25,11 @@ def motion(at_s, until_s, cycle_s=0.02):
     records = [
         SimpleNamespace(
             inputs=SimpleNamespace(t_ns=round(1e9 * t)),
-            measurements=SimpleNamespace(mocap=tuple(found) if k == 0 else ()),
+            measurements=SimpleNamespace(mocap=tuple(found) if k == 0 else (), wheels=()),
+            state=AT_REST,
+            reference=None,
+            observers={},
+            events=(),
         )
         for k, t in enumerate(cycles)
     ]
