@@ -29,6 +29,7 @@ from hil.calibration.parameters import (
 from hil.config.robot_record.parts import Identity
 from hil.core.errors import ConfigError, reason_of
 from hil.core.geometry import Array
+from hil.datasets.azimuth_coupling import Coupling
 from hil.datasets.copies import wheel_fingerprint
 from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.support.atomic_files import put_whole
@@ -71,6 +72,7 @@ class CalibrationFile(BaseModel):
         tyres: loads and creep ratio, for `creep` and `dry-friction`; None for equal loads.
         driven_m: distance that its recordings drove in each direction (`hil.calibration.excitation`); empty
             where it is not known.
+        coupling: turns of the drive encoders per turn of the steering that were taken out of its recordings.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -98,6 +100,7 @@ class CalibrationFile(BaseModel):
     robot: Identity | None = None
     tyres: Tyres | None = None
     driven_m: dict[str, Any] = {}
+    coupling: Four | None = None
 
     @model_validator(mode="after")
     def _tyres_known(self) -> CalibrationFile:
@@ -119,6 +122,11 @@ class CalibrationFile(BaseModel):
     def twist(self) -> Array:
         """Twist correction (3, 3)."""
         return np.array(self.twist_correction)
+
+
+def coupling_of(file: CalibrationFile) -> Coupling | None:
+    """Coupling that was taken out of the recordings of a calibration, and is to be taken out of others."""
+    return None if file.coupling is None else Coupling(file.coupling)
 
 
 def _geometry(p: Parameters, tyres: Tyres | None) -> WheelGeometry:
@@ -215,6 +223,7 @@ def calibration_file(
         "made_for": made_for,
         "robot": robot,
         "driven_m": result.driven.to_json(),
+        "coupling": next((r.coupling for r in result.recordings if r.coupling), None),
     }
     if result.setting.model in ("creep", "dry-friction"):
         tree["tyres"] = result.geometry.tyres()

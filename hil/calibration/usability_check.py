@@ -78,6 +78,13 @@ def check_usable(file: CalibrationFile, config: BenchConfig, path: str) -> None:
     """
     check_made_for(file, config, path)
     check_not_failed(file, config, path)
+    if file.coupling is not None:
+        raise ConfigError(
+            f"{path}: was fitted to recordings without the coupling of the steering into the drive encoders "
+            "(`coupling`), which the bench does not take out",
+            expected="a calibration without `coupling`",
+            remedy="let the drive encoders' source take the coupling out, and calibrate again",
+        )
 
 
 def check_not_failed(file: CalibrationFile, config: BenchConfig, path: str) -> None:

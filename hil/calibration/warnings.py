@@ -115,7 +115,14 @@ def motions_apart(found: Fit) -> list[str]:
 def warnings_of(recordings: Sequence[Recording]) -> list[str]:
     """Warnings of the recordings themselves: damage, repairs, a start in motion, corrections."""
     lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
-    return [*lines, *notes_of(recordings)]
+    return [*lines, *_taken_out(recordings), *notes_of(recordings)]
+
+
+def _taken_out(recordings: Sequence[Recording]) -> list[str]:
+    """One line if coupling of the steering into the drive encoders was taken out; else none."""
+    known = next((one.coupling for one in recordings if one.coupling), ())
+    shown = ", ".join(f"{turns:.4f}" for turns in known)
+    return [f"taken out of phi1 to phi4, as coupling of the steering: {shown} of delta"] if known else []
 
 
 def crossed_gaps(recordings: Sequence[Recording]) -> list[str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import JSON, OUT, PLOTS, SEED, TOPICS, FiniteRange
+from hil.cli.options import COUPLING, JSON, OUT, PLOTS, SEED, TOPICS, FiniteRange, truth_options
 from hil.cli.progress import reporting
 from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 from hil.core.choices import METHODS
@@ -22,6 +22,8 @@ from hil.robot.kinematics import MODELS
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
     from hil.config.bench import BenchConfig
+    from hil.datasets.azimuth_coupling import Coupling
+    from hil.datasets.truth_files import TruthFile
 
 
 @click.command()
@@ -45,6 +47,8 @@ if TYPE_CHECKING:
 @BENCH
 @click.option("--out", type=OUT, help="Write calibration.toml here.")
 @TOPICS
+@truth_options
+@COUPLING
 @PLOTS
 @JSON
 def command(
@@ -60,6 +64,8 @@ def command(
     bench: str | None,
     out: Path | None,
     topics: Path | None,
+    truth: TruthFile | None,
+    coupling: Coupling | None,
     plots: Path | None,
     as_json: bool,
 ) -> int:
@@ -88,6 +94,8 @@ def command(
             lambda done, total: report("reading", done, total),
             topics=topics,
             nominal=robot,
+            truth=truth,
+            coupling=coupling,
             unusable=unusable,
         )
         result = calibrate(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE, JSON, PLOTS, TOPICS
+from hil.cli.options import COUPLING, FILE, JSON, PLOTS, TOPICS, truth_options
 from hil.cli.progress import reporting
 from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 from hil.core.errors import EXIT_PASS, EXIT_USAGE
@@ -19,8 +19,10 @@ from hil.robot.kinematics import MODELS
 if TYPE_CHECKING:
     from hil.calibration.calibration_file import CalibrationFile
     from hil.calibration.evaluation import Track
+    from hil.datasets.azimuth_coupling import Coupling
     from hil.datasets.dataset import Recording
     from hil.datasets.nominal_robot import Nominal
+    from hil.datasets.truth_files import TruthFile
 
 _BLOCK_S = 0.1
 _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
@@ -44,6 +46,8 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
 )
 @BENCH
 @TOPICS
+@truth_options
+@COUPLING
 @PLOTS
 @JSON
 def command(
@@ -54,6 +58,8 @@ def command(
     deploy: str,
     bench: str | None,
     topics: Path | None,
+    truth: TruthFile | None,
+    coupling: Coupling | None,
     plots: Path | None,
     as_json: bool,
 ) -> int:
@@ -66,6 +72,7 @@ def command(
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
     from hil.calibration.applied_warnings import in_sample, used_otherwise
+    from hil.calibration.calibration_file import coupling_of
     from hil.calibration.evaluation import evaluate
     from hil.calibration.usability_check import failed_validation
     from hil.calibration.warnings import crossed_gaps, warnings_of
@@ -81,7 +88,12 @@ def command(
     file, robot = _robot(calibration, bench)
     with reporting() as report:
         recordings = read_recordings(
-            data, lambda done, total: report("reading", done, total), topics=topics, nominal=robot
+            data,
+            lambda done, total: report("reading", done, total),
+            topics=topics,
+            nominal=robot,
+            truth=truth,
+            coupling=coupling or (coupling_of(file) if file else None),
         )
     used_model = "exact" if deploy == "twist" else model or (file.model if file else "exact")
     used_signal = signal or (file.signal if file else "position")

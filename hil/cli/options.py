@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import shlex
 import shutil
@@ -81,6 +82,81 @@ FILE = FileName(path_type=Path)
 OUT = _Place(path_type=Path)
 """Type of `--out`."""
 TOPICS = click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
+
+
+def truth_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options `--truth`, `--truth-body` and `--truth-offset`; the command gets a `TruthFile`, or None."""
+
+    @functools.wraps(command)
+    def joined(
+        *args: Any, truth: Path | None, truth_body: str | None, truth_offset: str | None, **others: Any
+    ) -> Any:
+        return command(*args, truth=_truth_file(truth, truth_body, truth_offset), **others)
+
+    for option in (
+        click.option(
+            "--truth-offset",
+            metavar="SECONDS|fit",
+            help="Time to add to the stamps of --truth, or fit: found by the speeds [default: one clock].",
+        ),
+        click.option(
+            "--truth-body", metavar="NAME", help="The robot's body in --truth, where it holds several."
+        ),
+        click.option(
+            "--truth",
+            type=FILE,
+            help="Ground truth of wheel logs in CSV: a file of Motive, QTM, Vicon, TUM or EuRoC, or a folder "
+            "with one for each log, of the same name.",
+        ),
+    ):
+        joined = option(joined)
+    return joined
+
+
+def _truth_file(path: Path | None, body: str | None, offset: str | None) -> Any:
+    from hil.datasets.truth_files import TruthFile
+
+    if path is None:
+        if body is not None or offset is not None:
+            raise UsageError("--truth-body and --truth-offset need --truth FILE")
+        return None
+    try:
+        offset_s = 0.0 if offset in (None, "fit") else float(str(offset))
+    except ValueError:
+        offset_s = math.nan
+    if not math.isfinite(offset_s):
+        raise UsageError(f"--truth-offset {offset!r}", expected="seconds, or fit")
+    return TruthFile(path, body, offset_s, fitted=offset == "fit")
+
+
+class _CouplingType(click.ParamType):  # type: ignore[type-arg]
+    """A `Coupling`: `fit`, a number for all wheels, or four."""
+
+    name = "coupling"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """A `Coupling` of the text."""
+        from hil.datasets.azimuth_coupling import Coupling
+
+        if isinstance(value, Coupling) or value == "fit":
+            return value if isinstance(value, Coupling) else Coupling()
+        try:
+            turns = [float(part) for part in str(value).split(",")]
+        except ValueError:
+            turns = []
+        turns = turns * 4 if len(turns) == 1 else turns
+        if len(turns) != 4 or not all(map(math.isfinite, turns)):
+            self.fail(f"{value!r} is neither fit, nor one number, nor four between commas", param, ctx)
+        return Coupling((turns[0], turns[1], turns[2], turns[3]))
+
+
+COUPLING = click.option(
+    "--coupling",
+    type=_CouplingType(),
+    metavar="fit|TURNS",
+    help="Turns of the drive encoders per turn of the steering to take out (one, or four between commas), or "
+    "fit: as they turn while the body rests.",
+)
 PLOTS = click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
 
 

@@ -12,13 +12,15 @@ import click
 import numpy as np
 
 from hil.cli.completion_types import BENCH
-from hil.cli.options import FILE, JSON, rerun_option, say_rerun_files
+from hil.cli.options import COUPLING, FILE, JSON, rerun_option, say_rerun_files, truth_options
 from hil.cli.output import error_as_json
 from hil.core.choices import COMPARED
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 if TYPE_CHECKING:
     from hil.bench.model import BenchModel
+    from hil.datasets.azimuth_coupling import Coupling
+    from hil.datasets.truth_files import TruthFile
     from hil.loop.driven_motion import Motion
     from hil.recording.runs import RecordedRun
     from hil.replay.recordings import OpenedRecording
@@ -64,6 +66,8 @@ _COLUMNS = (
 )
 @click.option("--calibration", type=FILE, help="calibration.toml for the estimators.")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
+@truth_options
+@COUPLING
 @click.option("--page", type=FILE, help="HTML page with figures.")
 @rerun_option("Show it: spawn, connect, serve, a rerun+http:// URL or a .rrd file.")
 @JSON
@@ -75,6 +79,8 @@ def command(
     bench: str | None,
     calibration: Path | None,
     topics: Path | None,
+    truth: TruthFile | None,
+    coupling: Coupling | None,
     page: Path | None,
     view: str | None,
     as_json: bool,
@@ -101,7 +107,9 @@ def command(
     if page is not None:
         check_ending(page, ".html")
         check_file(page)
-    opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
+    opened = open_recording(
+        recording, bench=bench, calibration=calibration, topics=topics, truth=truth, coupling=coupling
+    )
     result: dict[str, Any] = {"recording": str(recording)}
     unshown = ""
     if verify:

@@ -15,7 +15,7 @@ import click
 import numpy as np
 
 from hil.cli.completion_types import BENCH
-from hil.cli.options import FILE, JSON, OUT, TOPICS
+from hil.cli.options import COUPLING, FILE, JSON, OUT, TOPICS, truth_options
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
 from hil.support.atomic_files import check_ending, check_file, put_whole, refused
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
     from hil.config.estimator import EstimatorConfig
     from hil.core.geometry import Array
+    from hil.datasets.azimuth_coupling import Coupling
     from hil.datasets.read import Job
+    from hil.datasets.truth_files import TruthFile
     from hil.estimator.tuning import Score, TruthRun, Tuned
     from hil.robot.kinematics import WheelGeometry
 
@@ -61,6 +63,8 @@ _DEFAULT = (
 @click.option("--calibration", type=FILE, help="calibration.toml for the wheels.")
 @click.option("--out", type=OUT, help="Write the fitted [estimator] tables here.")
 @TOPICS
+@truth_options
+@COUPLING
 @JSON
 def command(
     recordings: tuple[Path, ...],
@@ -71,6 +75,8 @@ def command(
     calibration: Path | None,
     out: Path | None,
     topics: Path | None,
+    truth: TruthFile | None,
+    coupling: Coupling | None,
     as_json: bool,
 ) -> int:
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
@@ -86,13 +92,21 @@ def command(
 
     if out is not None:
         _check_out(out, bench)
-    fitted, held_out = _found(recordings, topics), _found(check, topics)
+    fitted, held_out = _found(recordings, topics, truth), _found(check, topics, truth)
     if twice := _files(fitted) & _files(held_out):
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
     seen = _Findings()
-    read = partial(_read, bench=bench, calibration=calibration, topics=topics, findings=seen)
+    read = partial(
+        _read,
+        bench=bench,
+        calibration=calibration,
+        topics=topics,
+        truth=truth,
+        coupling=coupling,
+        findings=seen,
+    )
     config, runs = read(_once(recordings, fitted))
     held = read(_once(check, held_out))[1] if check else []
     start = _start(config.estimator, runs)
@@ -161,11 +175,11 @@ def _check_out(out: Path, bench: str | None) -> None:
         )
 
 
-def _found(paths: Sequence[Path], topics: Path | None) -> list[list[Job]]:
+def _found(paths: Sequence[Path], topics: Path | None, truth: TruthFile | None) -> list[list[Job]]:
     """The recordings at each path; recordings in a folder are separate jobs."""
     from hil.datasets.read import find_recordings
 
-    return [find_recordings([path], topics) for path in paths]
+    return [find_recordings([path], topics, truth=truth) for path in paths]
 
 
 def _files(found: Sequence[Sequence[Job]]) -> set[Path]:
@@ -190,6 +204,8 @@ def _read(
     bench: str | None,
     calibration: Path | None,
     topics: Path | None,
+    truth: TruthFile | None,
+    coupling: Coupling | None,
     findings: _Findings,
 ) -> tuple[BenchConfig, list[TruthRun]]:
     """Bench and runs of recordings; `findings` receives what is wrong with them."""
@@ -207,7 +223,9 @@ def _read(
     config, runs, tables, geometry = None, [], list[Recording](), None
     for path in (job.files[0] for job in jobs):
         mapping = topics if is_bag(path) else None
-        opened = open_recording(path, bench=bench, calibration=calibration, topics=mapping)
+        opened = open_recording(
+            path, bench=bench, calibration=calibration, topics=mapping, truth=truth, coupling=coupling
+        )
         if calibration is not None:
             check_not_failed(read_calibration(calibration), opened.bench.config, str(calibration))
         _same_robot(path, opened.header, opened.bench.config)

@@ -75,6 +75,7 @@ class Recording:
         problems: parts of its file that could not be read.
         contradictions: what of its ground truth no robot can have done.
         notes: corrections of its ground truth, see `hil.datasets.truth_correction`.
+        coupling: turns (4) of the drive encoders per turn of the steering that were taken out; else empty.
         nominal: nominal robot that it was read for.
         later: parts after each step back of the stamps, as recordings of their own.
         derived: cache of results computed from the recording alone; empty in copies made by `replace`.
@@ -96,6 +97,7 @@ class Recording:
     problems: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    coupling: tuple[float, ...] = ()
     nominal: Nominal = field(default_factory=Nominal)
     later: tuple[Recording, ...] = ()
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)

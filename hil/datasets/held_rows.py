@@ -29,14 +29,13 @@ def without_held(t_s: Array, w: Array, repairs: dict[str, int]) -> tuple[Bools, 
     """
     keep, out = np.ones(len(t_s), dtype=np.bool_), w
     for columns in (slice(0, 4), slice(4, 8)):
-        own = [_fresh(t_s, column) for column in w.T[columns]]
+        own = [_fresh(t_s, _unwrapped(column)) for column in w.T[columns]]
         period_s = max(lasts_s for _, lasts_s in own)
         if period_s == 0.0:
             continue
         out = out.copy() if out is w else out
         for j, (fresh, _) in enumerate(own, start=columns.start):
-            column = np.unwrap(w[fresh, j]) if np.ptp(w[:, j]) <= _TURN + _LITTLE_RAD else w[fresh, j]
-            out[:, j] = np.interp(t_s, t_s[fresh], column)
+            out[:, j] = np.interp(t_s, t_s[fresh], _unwrapped(w[fresh, j]))
             if columns.start == 0 and w.shape[1] > 8:
                 out[:, 8 + j] = np.interp(t_s, t_s[fresh], w[fresh, 8 + j])
         if columns.start == 0:
@@ -45,6 +44,11 @@ def without_held(t_s: Array, w: Array, repairs: dict[str, int]) -> tuple[Bools, 
         what = f"{name} angles repeated between reads {period_s:.3f} s apart (median) interpolated"
         count(repairs, what, sum(np.count_nonzero(~fresh) for fresh, _ in own))
     return keep, out
+
+
+def _unwrapped(column: Array) -> Array:
+    """Angles (n,) without wraps, where they stay within a turn."""
+    return np.unwrap(column) if np.ptp(column) <= _TURN + _LITTLE_RAD else column
 
 
 def _fresh(t_s: Array, column: Array) -> tuple[Bools, float]:

@@ -24,6 +24,7 @@ from hil.datasets.partial_rows import hold_unchanged
 from hil.datasets.public_csv import read_bytes
 from hil.datasets.recording_names import motion_of
 from hil.datasets.sampling import truth_at
+from hil.datasets.truth_files import TruthFile, read_truth, refuse_truth_alone
 
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
@@ -37,19 +38,23 @@ TRUTH_GAP_S = 0.1
 """Longest time between two samples of ground truth across which it is interpolated."""
 
 
-def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
+def read_plain(path: Path, nominal: Nominal | None = None, truth: TruthFile | None = None) -> Recording:
     """Read one run; `nominal` is the CAD model by default.
+
+    Ground truth in a file of its own takes the place of the columns x, y and theta, if there are any.
 
     Raises:
         DataError: missing or duplicate columns, damaged file, no usable rows.
     """
     data = read_bytes(path)
+    refuse_truth_alone(path, data)
     header, _, body = data.partition(b"\n")
     _check_text(path, data, header)
     first_line = header.decode("utf-8", "replace").lstrip("\ufeff").rstrip("\r")
     columns = [name.strip() for name in next(csv.reader([first_line]), [])]
     rates = all(c in columns for c in RATE_COLUMNS)
-    _check_complete(path, header, columns)
+    needed = [c for c in _NEEDED if truth is None or c not in TRUTH_COLUMNS]
+    _check_complete(path, header, columns, needed)
     twice = [c for c in (*_NEEDED, *RATE_COLUMNS) if columns.count(c) > 1]
     if twice:
         raise DataError(
@@ -69,32 +74,43 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
         columns += absent
         table = np.column_stack([table, np.full((len(table), len(absent)), np.nan)])
     wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
-    truth = [columns.index(c) for c in TRUTH_COLUMNS]
+    places = [columns.index(c) for c in TRUTH_COLUMNS] if truth is None else []
     t_s = table[:, columns.index("t")]
-    for sensor in (wheels[:4], wheels[4:8], wheels[8:], truth):
+    for sensor in (wheels[:4], wheels[4:8], wheels[8:], places):
         hold_unchanged(t_s, table, sensor, lacking)
-    seen = np.any(np.isfinite(table[:, truth]), axis=1)
+    seen = np.any(np.isfinite(table[:, places]), axis=1)
     read = np.any(np.isfinite(table[:, wheels]), axis=1) | ~seen
     stem = path.name.removesuffix(".gz").removesuffix(".csv")
+    log, sources, digests = (
+        Log(t_s[read], table[read][:, wheels]),
+        [str(path)],
+        [hashlib.sha256(data).hexdigest()],
+    )
+    poses = Log(t_s[seen], table[seen][:, places])
+    if truth is not None:
+        robot = nominal if nominal is not None else Nominal()
+        poses, source, digest = read_truth(truth, path, log, robot, lacking)
+        sources.append(source)
+        digests.append(digest)
     return build_recording(
         stem,
-        Log(t_s[read], table[read][:, wheels]),
-        Log(t_s[seen], table[seen][:, truth]),
+        log,
+        poses,
         motion=motion_of(stem),
-        sources=(str(path),),
-        sha256=(hashlib.sha256(data).hexdigest(),),
+        sources=tuple(sources),
+        sha256=tuple(digests),
         nominal=nominal,
         repairs=lacking,
     )
 
 
-def _check_complete(path: Path, header: bytes, columns: list[str]) -> None:
+def _check_complete(path: Path, header: bytes, columns: list[str], needed: list[str]) -> None:
     """Raise `DataError` for missing columns; says what the first line holds in their place.
 
     The wheel angles may be missing as a whole where all wheel rates are there.
     """
     rates = all(c in columns for c in RATE_COLUMNS) and not any(c in columns for c in _ANGLES)
-    missing = [c for c in _NEEDED if c not in columns and not (rates and c in _ANGLES)]
+    missing = [c for c in needed if c not in columns and not (rates and c in _ANGLES)]
     if not missing:
         return
     line, bad = header.decode("latin-1"), header.decode("utf-8", "replace").find("\ufffd")
@@ -102,20 +118,20 @@ def _check_complete(path: Path, header: bytes, columns: list[str]) -> None:
         raise DataError(
             str(path),
             f"its first line is not UTF-8 text: {line[max(0, bad - _SHOWN // 2) :][:_SHOWN]!r}",
-            expected=",".join(_NEEDED),
+            expected=",".join(needed),
             remedy="save it as UTF-8, with the names of the columns in its first line",
         )
-    if len(missing) == len(_NEEDED):
+    if len(missing) == len(needed):
         raise DataError(
             str(path),
             f"its first line holds no names of columns: {line[:_SHOWN]!r}",
-            expected=",".join(_NEEDED),
+            expected=",".join(needed),
             remedy="delete the lines before the names, or add the names",
         )
     alike = {c.lower(): c for c in columns}
     others = [f"{alike[c]} in place of {c}" for c in missing if c in alike]
     found = f" (it has {', '.join(others)})" if others else ""
-    raise DataError(str(path), f"lacks the columns {', '.join(missing)}{found}", expected=",".join(_NEEDED))
+    raise DataError(str(path), f"lacks the columns {', '.join(missing)}{found}", expected=",".join(needed))
 
 
 def _check_text(path: Path, data: bytes, header: bytes) -> None:

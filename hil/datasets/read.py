@@ -8,9 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hil.core.errors import DataError
+from hil.core.errors import DataError, UsageError
 from hil.core.wrong_path_hint import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
+from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.copies import without_copies
 from hil.datasets.dataset import Recording
 from hil.datasets.drive_coverage import covered
@@ -18,6 +19,7 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
 from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_correction import corrected
+from hil.datasets.truth_files import TruthFile
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import NEEDS_TOPICS
@@ -25,6 +27,7 @@ from hil.recording.mcap_records import COPY_AGAIN
 from hil.support.atomic_files import check_name
 
 _READERS = 2
+_WITH_TRUTH = (".mcap", ".db3")
 _OTHERS = (".py", ".toml", ".json", ".html")
 """Suffixes of files in this project that contain no recording."""
 
@@ -50,7 +53,10 @@ class Job:
 
 
 def find_recordings(
-    paths: Sequence[str | Path], topics: str | Path | None = None, nominal: Nominal | None = None
+    paths: Sequence[str | Path],
+    topics: str | Path | None = None,
+    nominal: Nominal | None = None,
+    truth: TruthFile | None = None,
 ) -> list[Job]:
     """Find every run under the given files and folders, with its reader, in a fixed order.
 
@@ -59,6 +65,7 @@ def find_recordings(
         topics: topic mapping of another robot; every `.mcap` and `.db3` file and rosbag2 folder is then one
             of its bags.
         nominal: robot that they are read for, see `build_recording`.
+        truth: file of ground truth of the wheel logs, which are then plain CSV.
 
     Raises:
         DataError: a path does not exist or contains no recording.
@@ -70,7 +77,8 @@ def find_recordings(
     for given in paths:
         path = Path(given)
         check_name(path)
-        found = _folder(path, mapping, nominal) if path.is_dir() else [_file(path, mapping, nominal)]
+        look = _folder if path.is_dir() else _one_file
+        found = look(path, mapping, nominal, truth)
         if not found:
             raise DataError(
                 str(path),
@@ -90,6 +98,8 @@ def read_recordings(
     *,
     topics: str | Path | None = None,
     nominal: Nominal | None = None,
+    truth: TruthFile | None = None,
+    coupling: Coupling | None = None,
     unusable: dict[str, str] | None = None,
 ) -> list[Recording]:
     """Read every run under the given files and folders.
@@ -104,6 +114,8 @@ def read_recordings(
         progress: called with (done, total) after each run.
         topics: see `find_recordings`.
         nominal: robot that they are read for, see `build_recording`.
+        truth: see `find_recordings`.
+        coupling: see `decoupled`.
         unusable: filled with file and reason of each recording that cannot be used, while more than half can.
             The others are then refused only for signs that are wrong in most of them. If None, the first
             unusable recording raises.
@@ -113,10 +125,10 @@ def read_recordings(
         (`hil.datasets.truth_correction`).
 
     Raises:
-        DataError: see `find_recordings`, `build_recording`, `covered` and `check_signs`.
+        DataError: see `find_recordings`, `build_recording`, `covered`, `decoupled` and `check_signs`.
     """
     robot = nominal if nominal is not None else Nominal()
-    found = find_recordings(paths, topics, nominal)
+    found = find_recordings(paths, topics, nominal, truth)
     jobs = dict[tuple[Path, ...], list[Job]]()
     for job in found:
         jobs.setdefault(job.identity, []).append(job)
@@ -133,8 +145,7 @@ def read_recordings(
         times = _times_given(jobs[job.identity])
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
-    out = named_apart(without_copies(out))
-    out = corrected(out)
+    out = corrected(decoupled(named_apart(without_copies(out)), robot.geometry, coupling))
     check_signs(out, robot, of_all=unusable is not None)
     return out
 
@@ -182,17 +193,21 @@ def _below(folder: Path) -> str:
     return "name the folder that does: " + ", ".join(map(str, holders[:3])) if holders else ""
 
 
-def _folder(folder: Path, mapping: TopicMap | None, nominal: Nominal | None) -> list[Job]:
+def _folder(
+    folder: Path, mapping: TopicMap | None, nominal: Nominal | None, truth: TruthFile | None
+) -> list[Job]:
     if rosbag.is_bag(folder):
         return [_bag(folder, mapping, nominal)]
     pairs = public_csv.find_pairs(folder)
     paired = {file for pair in pairs for file in pair}
     bags = rosbag.bags_in(folder)
     tables = {f for kind in ("*.csv", "*.csv.gz") for f in folder.glob(kind)} - paired
+    if truth is not None:
+        tables = {f for f in tables if f.resolve() != truth.path.resolve()}
     own = folder.glob("*.mcap") if mapping is None else ()
     foreign = bags if mapping is not None else [b for b in bags if b.suffix != ".mcap"]
     jobs = [_pair(odom, absolute, nominal, (odom, absolute)) for odom, absolute in pairs]
-    jobs += [_file(f, mapping, nominal) for f in sorted([*tables, *own])]
+    jobs += [_file(f, mapping, nominal, truth) for f in sorted([*tables, *own])]
     if foreign and mapping is None:
         names = ", ".join(b.name for b in foreign)
         raise DataError(
@@ -228,9 +243,22 @@ def _pair(odom: Path, absolute: Path, nominal: Nominal | None, given: tuple[Path
     return Job((odom, absolute), lambda: public_csv.read_pair(odom, absolute, nominal), given)
 
 
-def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
+def _one_file(
+    path: Path, mapping: TopicMap | None, nominal: Nominal | None, truth: TruthFile | None
+) -> list[Job]:
+    return [_file(path, mapping, nominal, truth)]
+
+
+def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None, truth: TruthFile | None) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist", expected="a recording, or a folder of them")
+    if truth is not None and (
+        mapping is not None or path.suffix in _WITH_TRUTH or public_csv.is_pair_file(path)
+    ):
+        raise UsageError(
+            f"{path} holds its ground truth itself, or names it in --topics",
+            expected="wheel logs as plain CSV beside --truth",
+        )
     if path.suffix in _OTHERS:
         raise DataError(str(path), "is no recording", remedy=meant(path))
     if path.suffix in PACKED and mapping is None:
@@ -251,4 +279,4 @@ def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
         if not odom.exists():
             raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
         return _pair(odom, public_csv.partner(odom), nominal, (path,))
-    return _one_job(path, lambda: plain_csv.read_plain(path, nominal))
+    return _one_job(path, lambda: plain_csv.read_plain(path, nominal, truth))

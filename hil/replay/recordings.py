@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.bench.loop_settings import geometry_of, nominal_of, with_wheel_model
 from hil.bench.model import BenchModel
-from hil.calibration.calibration_file import read_calibration
+from hil.calibration.calibration_file import coupling_of, read_calibration
 from hil.calibration.excitation import OTHER_ROBOT, mismatch
 from hil.calibration.usability_check import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
@@ -20,6 +20,7 @@ from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.core.errors import DataError, HilError, UsageError
 from hil.datasets.as_cycles import to_run
+from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.drive_coverage import covered
@@ -28,6 +29,7 @@ from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map
 from hil.datasets.truth_correction import corrected
+from hil.datasets.truth_files import TruthFile
 from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.recording.mcap_reader import RecordingReader
 from hil.recording.runs import RecordedRun, read_runs
@@ -117,7 +119,13 @@ class OpenedRecording:
 
 
 def open_recording(
-    path: Path, *, bench: str | None = None, calibration: Path | None = None, topics: Path | None = None
+    path: Path,
+    *,
+    bench: str | None = None,
+    calibration: Path | None = None,
+    topics: Path | None = None,
+    truth: TruthFile | None = None,
+    coupling: Coupling | None = None,
 ) -> OpenedRecording:
     """Detect the kind of a recording, and rebuild the bench that made it.
 
@@ -126,6 +134,8 @@ def open_recording(
         bench: bench file or profile instead of the recording's own.
         calibration: wheel geometry instead of the recording's own.
         topics: topic mapping of a bag.
+        truth: file of ground truth of a wheel log.
+        coupling: coupling of a foreign recording to take out; that of the calibration by default.
 
     Raises:
         DataError: it cannot be read, or is a folder of recordings: they are opened one by one.
@@ -134,10 +144,12 @@ def open_recording(
     problems: list[str] = []
     if topics is None and path.is_dir() and not is_bag(path):
         _refuse_folder(path)
-    if topics is not None or path.suffix != ".mcap":
+    if topics is not None or truth is not None or path.suffix != ".mcap":
         config = load_bench(bench or _FOREIGN_BENCH)
         robot, tables = nominal_of(config), list[Recording]()
-        found = _read_foreign(path, topics, robot, tables)
+        if coupling is None and calibration is not None:
+            coupling = coupling_of(read_calibration(calibration))
+        found = _read_foreign(path, topics, truth, coupling, robot, tables)
         made, failed = _bench(config, None, calibration, {}, known=bench is not None)
         if calibration is not None:
             robot = replace(robot, source=str(calibration))
@@ -198,17 +210,24 @@ def _geometry(header: Mapping[str, Any], path: Path) -> WheelGeometry | None:
     return geometry.with_tyres(**header["tyres"]) if "tyres" in header else geometry
 
 
-def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[Recording]) -> Any:
+def _read_foreign(
+    path: Path,
+    topics: Path | None,
+    truth: TruthFile | None,
+    coupling: Coupling | None,
+    robot: Nominal,
+    tables: list[Recording],
+) -> Any:
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
         found = read_bag(path, read_topic_map(topics), robot)
         parts = [covered(replace(part, later=()), robot) for part in (found, *found.later)]
-        tables.extend(corrected(parts))
+        tables.extend(corrected(decoupled(parts, robot.geometry, coupling)))
         check_signs(tables, robot)
         return lambda: map(to_run, tables)
 
     def read() -> Iterator[RecordedRun]:
-        tables.extend(read_recordings([path], nominal=robot))
+        tables.extend(read_recordings([path], nominal=robot, truth=truth, coupling=coupling))
         return map(to_run, tables)
 
     return read
