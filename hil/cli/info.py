@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import logging
 import platform
+import signal
 from collections.abc import Callable
 from functools import partial
+from types import FrameType
 
 import click
 
@@ -14,10 +16,11 @@ from hil import __version__
 from hil.cli import declared
 from hil.cli.options import JSON
 from hil.cli.progress import reporting
-from hil.core.errors import EXIT_PASS, EXIT_USAGE, HilError
+from hil.core.errors import EXIT_PASS, EXIT_USAGE, Aborted, HilError
 from hil.support.arithmetic_fingerprint import fingerprint
 from hil.support.extras import MODULES, packages, why_unusable
 from hil.support.progress import Report
+from hil.support.stop_signals import handled_by
 from hil.support.versions import version_of
 
 _COMPILING = "compiling numerical kernels"
@@ -51,6 +54,11 @@ def _load(part: str) -> None:
     loads.get(part, partial(_load_bench, part))()
 
 
+def _end(number: int, _frame: FrameType | None) -> None:
+    """End the processes that compile before this one, which would leave them to themselves."""
+    raise Aborted(f"ended by {signal.Signals(number).name}; what is compiled is kept")
+
+
 def _compile(report: Report) -> None:
     """Compile all kernels in two processes, those that others contain first."""
     from hil.procedure.worker_processes import Workers
@@ -59,7 +67,7 @@ def _compile(report: Report) -> None:
     rounds = (["filter", "calibration"], [plants[0], "unscented filter", "smoother", *plants[1:]])
     done, parts = 0, sum(map(len, rounds))
     report(_COMPILING, done, parts)
-    with Workers(2) as workers:
+    with handled_by(_end), Workers(2) as workers:
         for one in rounds:
             for _ in workers.at_once(_load, one):
                 done += 1

@@ -13,6 +13,8 @@ from multiprocessing.pool import Pool
 from types import TracebackType
 from typing import TypeVar
 
+from hil.support.stop_signals import StopRequest
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -48,7 +50,11 @@ class Workers:
         if not jobs:
             return iter(())
         if self._pool is None:
-            self._pool = multiprocessing.get_context("spawn").Pool(self.processes, _begin)
+            stop = StopRequest()
+            with stop.noted():  # a process that is half started would print a traceback
+                self._pool = multiprocessing.get_context("spawn").Pool(self.processes, _begin)
+            if stop.name:
+                signal.raise_signal(signal.Signals[stop.name])
         return self._pool.imap(work, jobs)
 
 

@@ -210,6 +210,7 @@ def test_every_session_is_recorded_under_its_date_unless_asked_otherwise(tmp_pat
     assert verified(path)[1]["verdict"] == "identical"
 
 
+@pytest.mark.skipif(not os.path.ismount("/sys"), reason="/sys is a folder like others here")
 def test_a_disk_that_takes_no_files_is_named_before_anything_is_opened(capsys):
     assert main(["live", "--duration", "0.1", "--record", "/sys/run.mcap"]) == 2
     said = capsys.readouterr().err
