@@ -41,6 +41,7 @@ World = dict[str, Any]
 """Results of the drives of one seed by label: `errors`, and for the first seed `series`."""
 _SEEDS_FOR_MEANS = 5
 _RESOLVED_MM = 0.1
+_TRUE = "Truth from motion capture, by feedback; where a note says so, from the estimate."
 _NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
 
 
@@ -305,7 +306,7 @@ def show(ctx: Context, world: World) -> None:
             label.split()[1]: run["series"] for label, run in world.items() if label.startswith(case + " ")
         }
         name = _NAMES[case]
-        ctx.figure(partial(path_figure, shown), f"{name}: path", "Truth from motion capture, by feedback.")
+        ctx.figure(partial(path_figure, shown), f"{name}: path", _TRUE)
         ctx.figure(
             partial(error_figure, shown),
             f"{name}: errors",

@@ -16,6 +16,7 @@ import numpy as np
 from hil.core.errors import SafetyStop
 from hil.core.signals import Event, Inputs, Measurements, WheelSetpoint
 from hil.core.suspects import together
+from hil.loop.checks.damaged_reports import DamagedReports
 from hil.loop.checks.disagreement import WHEELS
 from hil.loop.checks.disagreement_response import AgreementCheck
 from hil.loop.checks.exclusion import Exclusion
@@ -76,6 +77,7 @@ class Supervisor:
             own.steering,
             self._agreement,
             FrameMove(self.left_out),
+            DamagedReports(),
             UsableCheck(),
             FilterFit(),
             PathCheck(limits),

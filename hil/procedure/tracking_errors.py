@@ -179,12 +179,16 @@ def unseen(errors: Mapping[str, Any]) -> str:
 
 
 def series(motion: Motion) -> dict[str, Any]:
-    """Return time, reference, truth and estimate as JSON values, thinned; the largest errors are kept."""
-    truth, _ = motion.truth
-    errors = np.hstack([truth - motion.reference, motion.estimate - truth])
+    """Return time, reference, truth and estimate as JSON values, thinned; the largest errors are kept.
+
+    Where the truth is the estimate itself, the estimate is NaN: its error is not known.
+    """
+    truth, doubt = motion.truth
+    estimate = np.full_like(truth, np.nan) if doubt else motion.estimate
+    errors = np.hstack([truth - motion.reference, estimate - truth])
     errors[:, [2, 5]] = wrap_array(errors[:, [2, 5]])
     rows = kept_rows(*errors.T, most=2 * MOST_POINTS)
-    columns = (motion.t_s, *motion.reference.T, *truth.T, *motion.estimate.T)
+    columns = (motion.t_s, *motion.reference.T, *truth.T, *estimate.T)
     rounded = [np.round(c[rows], 5).tolist() for c in columns]
     return {"t": rounded[0], "reference": rounded[1:4], "truth": rounded[4:7], "estimate": rounded[7:10]}
 

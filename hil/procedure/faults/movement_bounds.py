@@ -28,10 +28,10 @@ SIGMAS, SLACK_M, MOST_OFF_M = 3.0, 0.005, 0.04
 """Largest error of the final estimate: SIGMAS times its sigma plus SLACK_M, and at most MOST_OFF_M."""
 MOST_ASTRAY_M = 0.02
 """Largest true distance from the reference of a driven robot: a wrong sensor is found within 15 mm."""
-EFFECT_M, SAGGED_N = 0.002, (36.0, 13.0)
+EFFECT_M, SAGGED_N = 0.003, (36.0, 13.0)
 """A fault had an effect beyond this true distance from a run without it, or below these forces of fan and
 propellers: four fifths of the fan's 45 N, and what the propellers must push with then. Noise that is drawn
-anew makes a distance of up to 1.4 mm.
+anew makes a distance of up to 2.4 mm.
 """
 PASS_M, FIGURE_M = 0.01, 0.005
 """Distance from the goal with which a drive counts as good, and largest error of a figure without a mark."""
