@@ -112,7 +112,22 @@ class RecordingReader:
             ) from None
 
     def items(self) -> Iterator[CycleRecord | Note]:
-        """Cycles and notes in the order of their log times, in which they were written."""
+        """Cycles and notes in the order of their log times, in which they were written.
+
+        Raises:
+            DataError: the file was merged from several recordings.
+        """
+        from mcap.records import Metadata
+
+        own = (
+            r.metadata for _, r in records_of(self.path, []) if isinstance(r, Metadata) and r.name == METADATA
+        )
+        if (several := len({tuple(sorted(metadata.items())) for metadata in own})) > 1:
+            raise DataError(
+                str(self.path),
+                f"holds {several} recordings in one file, whose cycles cannot be told apart",
+                remedy="name the recordings that it was merged from",
+            )
         for channel, message in messages_of(self.path, lambda c: c.topic in (_CYCLE, _NOTE), self.problems):
             item = self._item(channel.topic, message.data)
             if item is not None:

@@ -164,6 +164,28 @@ def test_a_recording_that_lost_its_metadata_is_told_from_another_robots(tmp_path
     assert "holds no cycle records of this project" in capsys.readouterr().err
 
 
+def test_a_file_merged_from_two_recordings_is_refused(tmp_path, ours):
+    """Their cycles had become runs of one another; the same metadata twice is one recording."""
+    messages, (kept, *_) = content(ours)
+    other = {**kept.metadata, "header": kept.metadata["header"].replace('"seed": ', '"seed": 1')}
+    for name, second in (("twice.mcap", kept.metadata), ("merged.mcap", other)):
+        with (tmp_path / name).open("wb") as stream:
+            writer = Writer(stream)
+            writer.start(profile="ros2", library="another")
+            for metadata in (kept.metadata, second):
+                writer.add_metadata(kept.name, metadata)
+            number = writer.register_schema("x", "", b"")
+            channel = writer.register_channel("/hil/cycle", "cdr", number)
+            for _, found, message in messages:
+                if found.topic == "/hil/cycle":
+                    writer.add_message(channel, message.log_time, message.data, message.log_time)
+            writer.finish()
+    assert len(tuple(read_cycles(tmp_path / "twice.mcap"))) == CYCLES
+    assert other != kept.metadata
+    with pytest.raises(DataError, match=r"merged\.mcap: holds 2 recordings in one file"):
+        tuple(read_cycles(tmp_path / "merged.mcap"))
+
+
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     """A rosbag2 folder of another robot, and what is read of it."""
