@@ -28,7 +28,7 @@ def check_plane(where: str, position_m: Array, wxyz: Array, remedy: str) -> None
     Raises:
         DataError: says by how much.
     """
-    if not len(position_m):
+    if not np.isfinite(position_m).any(axis=0).all():
         return
     low, high = np.nanpercentile(position_m, _RANGE, axis=0)
     x_m, y_m, z_m = high - low

@@ -83,7 +83,7 @@ def test_a_port_that_another_program_has_open_is_left_alone(port):
     [
         (errno.EACCES, "udev rule"),
         (errno.EBUSY, "sudo fuser -v {path} names it"),
-        (errno.ENOENT, "plugged in"),
+        (errno.ENOENT, "check cable and hub"),
     ],
 )
 def test_a_port_that_cannot_be_opened_has_the_doctors_remedy(port, monkeypatch, number, says):
