@@ -9,7 +9,8 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from hil.bench.drivers import make_device_set
-from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, must_be_enough
+from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, forces_now_n, must_be_enough
+from hil.bench.fan_start_check import FanStartCheck, contradicted
 from hil.bench.loop_settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
@@ -20,6 +21,7 @@ from hil.core.signals import Status as SampleStatus
 from hil.core.signals import worst
 from hil.fan_daemon import client
 from hil.fan_daemon.client import Status, of_whom
+from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.server import is_on, running_daemons, socket_name
 from hil.fan_daemon.spec import Spec
 from hil.support.port_users import Program, ending, named, running
@@ -109,15 +111,18 @@ def switch_on(
         tethered: the operator has confirmed that the robot is tethered or off the wall.
 
     Returns:
-        The force by the fan's speed, N. The fan keeps running, whatever ends this call.
+        The force by the fan's speed, N, with which load cells, duty and voltage agree as far as they are
+        there. The fan keeps running, whatever ends this call.
 
     Raises:
         ConfigError, UsageError, DeviceError: the set-point is invalid or not reached; a bench commands the
-        fan now; or the force is too small for a robot that may hang by it (`seen_off_the_wall`).
+        fan now; the force is too small for a robot that may hang by it (`seen_off_the_wall`); or its
+        measurements contradict each other, and the fan runs again as before.
     """
     table, clock = fan_of(config), MonotonicClock()
     wanted_n = force_wanted_n(config) if force_n is None else force_n
-    if isinstance(table, MotorConfig):
+    known = isinstance(table, MotorConfig)
+    if known:
         _must_be_free(daemon_spec(config))
     fan: Any = make_device_set(config, clock, {}).get(DEVICE)
     if not tethered:  # close it again: it would not be commanded while the others are read
@@ -125,7 +130,8 @@ def switch_on(
         with contextlib.closing(fan):
             now = _first_report(fan, clock)
         asked_n = wanted_n if duty is None else duty_n(table, duty, now)
-        must_be_enough(config, table.force_at_n(now.speed_rpm), asked_n)
+        must_be_enough(config, max(forces_now_n(table, now)), asked_n)
+    before = (daemon_status(daemon_spec(config)) or {}).get("sent") if known else None
     fan.open()
     with contextlib.closing(fan):
         _first_report(fan, clock)  # a running fan starts from there
@@ -133,21 +139,40 @@ def switch_on(
             fan.set_force_n(wanted_n)
         else:
             fan.set_duty(duty)
+        judge = FanStartCheck(config, table)
         near_ns, said_ns, newest = None, 0, None
         end_ns = clock.now_ns() + nanoseconds(wait_s)
         while (now_ns := clock.now_ns()) < end_ns:
-            newest = (*fan.read()[-1:], newest)[0]
+            for sample in fan.read():
+                newest = sample
+                if wrong := judge.contradiction(sample):
+                    _take_back(config, before, known)
+                    raise contradicted(wrong)
             if newest is not None:
                 is_n = table.force_at_n(newest.speed_rpm)
                 off = is_n / wanted_n - 1.0 if duty is None else newest.duty / duty - 1.0
                 near_ns = (near_ns or now_ns) if abs(off) <= _NEAR else None
                 if near_ns is not None and now_ns - near_ns >= _STEADY_NS:
+                    if wrong := judge.by_cells(is_n, clock):
+                        _take_back(config, before, known)
+                        raise contradicted(wrong)
                     return is_n
                 if now_ns - said_ns > _SAY_NS:
                     said_ns = now_ns
                     say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
             clock.sleep_until_ns(now_ns + STEP_NS)
         raise _not_reached(newest, f"{wanted_n:g} N" if duty is None else f"duty {duty:g}", wait_s)
+
+
+def _take_back(config: BenchConfig, before: Any, known: bool) -> None:
+    """Go back to how the fan ran before; one that was at rest comes to rest."""
+    connection = client.connect(daemon_spec(config)) if known else None
+    if connection is None:
+        return
+    why = "it was at rest before, and its measurements contradict each other"
+    request = client.off_request(why) if before is None else client.set_request(SetPoint(*before))
+    with connection:
+        client.ask(connection, request, daemon_spec(config))
 
 
 def _must_be_free(spec: Spec) -> None:
@@ -237,6 +262,7 @@ def described(status: Mapping[str, Any], spec: Spec) -> str:
         parts.append("its controller is silent")
     if sent:
         parts.append(f"longest gap between commands {1e3 * status['worst_gap_s']:.0f} ms")
+    parts += [status["sag"]] * bool(status.get("sag"))
     if status["bus_error"]:
         parts.append(f"CAN: {status['bus_error']}: it stops {status['timeout_s']:g} s after the last command")
     return ", ".join(parts)

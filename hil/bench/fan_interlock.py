@@ -11,11 +11,13 @@ import numpy as np
 from hil.bench.drivers import make_device_set
 from hil.bench.hold.tilt_check import tilt_rad
 from hil.bench.loop_settings import adhesion_limits, can_fall, thrust_wanted_n
-from hil.config.adhesion import AdhesionConfig, MotorConfig
+from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.core.clock import MonotonicClock, nanoseconds
 from hil.core.errors import ConfigError, UsageError
 from hil.core.signals import Status, worst
+from hil.loop.checks.adhesion_limits import reading
+from hil.robot.motor_cross_checks import Reading, forces_n, speed_by_voltage_rpm
 
 DEVICE = "adhesion"
 WATCH_S, STEP_NS = 2.0, nanoseconds(0.02)
@@ -80,13 +82,19 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
 
 
 def duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
-    """Force at a duty, N: from the present speed of the fan, else from its ratings; NaN without both."""
-    if now.duty > 0.0 and now.speed_rpm > _TURNS_RPM:
-        return table.force_at_n(now.speed_rpm * duty / now.duty)
-    if not isinstance(table, MotorConfig):
-        return math.nan
+    """Force at a duty, N, the smaller of that by the present speed and by the ratings; NaN without both."""
+    ratings = table.ratings()
     input_v = now.input_v if math.isfinite(now.input_v) else table.rated_input_v
-    return table.force_at_n(table.DROOP * table.rpm_per_v * input_v * duty)
+    by_voltage_n = ratings.force_at_n(speed_by_voltage_rpm(ratings, Reading(math.nan, duty, input_v)))
+    if not (now.duty > 0.0 and now.speed_rpm > _TURNS_RPM):
+        return by_voltage_n
+    by_speed_n = table.force_at_n(now.speed_rpm * duty / now.duty)
+    return by_speed_n if math.isnan(by_voltage_n) else min(by_speed_n, by_voltage_n)
+
+
+def forces_now_n(table: AdhesionConfig, now: Any) -> list[float]:
+    """Present force of the fan by each measurement of its controller, N."""
+    return list(forces_n(table.ratings(), reading(now)).values()) or [0.0]
 
 
 def seen_off_the_wall(config: BenchConfig) -> str:
@@ -110,9 +118,9 @@ def seen_off_the_wall(config: BenchConfig) -> str:
             )
         device.open()
         with contextlib.closing(device):
-            seen[name] = _watched(device, clock)
+            seen[name] = watched(device, clock)
     tilted_rad = tilt_rad(config, seen["imu"])
-    blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
+    blows_n = min((min(forces_now_n(table, s)) for s in seen[DEVICE]), default=math.nan)
     limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
     force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
     message = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
@@ -125,7 +133,7 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     return f"seen off the wall: {message}"
 
 
-def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
+def watched(device: Any, clock: MonotonicClock) -> list[Any]:
     """Good samples of a device during `WATCH_S`."""
     samples: list[Any] = []
     end_ns = clock.now_ns() + nanoseconds(WATCH_S)

@@ -26,7 +26,8 @@ from hil.core.package_errors import OURS, call_in_package
 from hil.core.registry import kinds
 from hil.datasets.nominal_robot import Nominal
 from hil.loop.alignment import AlignmentParameters
-from hil.loop.checks.adhesion import AdhesionLimits, AdhesionWatch
+from hil.loop.checks.adhesion import AdhesionWatch
+from hil.loop.checks.adhesion_limits import AdhesionLimits
 from hil.loop.checks.mocap_agreement import MocapTolerances
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
@@ -191,15 +192,7 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
     fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
     if fan is None and cells is None:
         return None
-    safety, known = config.safety, {}
-    if fan is not None:
-        known = {
-            "rated_n": fan.rated_force_n,
-            "rated_rpm": fan.rated_rpm,
-            "rated_w": fan.rated_input_a * fan.rated_input_v,
-            "low_input_v": fan.low_input_v,
-            "hot_fet_c": fan.hot_fet_c,
-        }
+    safety = config.safety
     return AdhesionLimits(
         config.robot.statics(config.environment.tilt_rad, config.environment.known_friction),
         reserve=safety.adhesion_reserve,
@@ -210,7 +203,9 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
         zero_n=None if cells is None else sum(cells.zero_n),
         reports_thrust=isinstance(push, DaemonMotorConfig),
         stale_s=safety.adhesion_stale_s,
-        **known,
+        fan=None if fan is None else fan.ratings(),
+        low_input_v=0.0 if fan is None else fan.low_input_v,
+        hot_fet_c=math.inf if fan is None else fan.hot_fet_c,
     )
 
 

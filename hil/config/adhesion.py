@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Annotated, Any, ClassVar, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.device import DeviceConfig
 from hil.config.values import PolePairs, Switch, Within
+from hil.robot.motor_cross_checks import DROOP, MotorRatings
 
 VESC_ID = "VESC id"
 VescId = Annotated[int, Within(0, 254, "255 addresses all")]
@@ -42,9 +44,16 @@ class AdhesionConfig(DeviceConfig):
     low_input_v: Annotated[float, Within(0.0, 100.0, "V of the battery")] = 20.0
     hot_fet_c: Annotated[float, Within(30.0, 150.0, "degC")] = 80.0
 
+    def ratings(self) -> MotorRatings:
+        """The numbers that turn the fan's measurements into forces."""
+        watts = self.rated_input_a * self.rated_input_v
+        return MotorRatings(
+            "adhesion", self.rated_force_n, self.rated_rpm, self.highest_force_n, rated_w=watts
+        )
+
     def force_at_n(self, speed_rpm: float) -> float:
-        """Force of the fan at a speed, N."""
-        return self.rated_force_n * (speed_rpm / self.rated_rpm) ** 2
+        """Force of the fan at a speed, N; below 0 for a fan that turns backwards."""
+        return self.ratings().force_at_n(speed_rpm)
 
     def speed_for_rpm(self, force_n: float) -> float:
         """Speed of the fan for a force, 1/min."""
@@ -59,11 +68,14 @@ class MotorConfig(AdhesionConfig, DaemonMotorConfig):
         rpm_per_v: of the motor: speed per volt, unloaded.
     """
 
-    DROOP: ClassVar[float] = 0.93
-    """Assumed speed of a loaded motor over that of a free one, until it is measured."""
-
     command: Literal["duty", "current", "rpm"] = "duty"
     rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0
+
+    def ratings(self) -> MotorRatings:
+        """As for any fan, with the law of its motor."""
+        known = super().ratings()
+        motor_a = known.rated_w * DROOP * self.rpm_per_v / self.rated_rpm
+        return replace(known, rpm_per_v=self.rpm_per_v, rated_motor_a=motor_a)
 
     @property
     def counts_per_turn(self) -> int:
@@ -94,6 +106,10 @@ class VescConfig(MotorConfig):
     controller_id: VescId = 1
     own_id: VescId = 254
     pole_pairs: PolePairs = 3
+
+    def ratings(self) -> MotorRatings:
+        """As for any motor, with its pole pairs."""
+        return replace(super().ratings(), pole_pairs=self.pole_pairs)
 
     @property
     def counts_per_turn(self) -> int:

@@ -48,6 +48,11 @@ class ThrustConfig(DeviceConfig):
         """Force of a throttle 0..1."""
         return self.full_force_n * throttle**2
 
+    @property
+    def push_keys(self) -> tuple[str, ...]:
+        """Keys of the bench file that scale the push."""
+        return ("thrust.full_force_n",)
+
     def force_lost_after_s(self, force_n: float, least_n: float) -> float:
         """Time until a controller that did not understand its last command gives less than `least_n`.
 

@@ -206,7 +206,8 @@ class AdhesionSample:
 
     Attributes:
         speed_rpm: mechanical speed of the fan.
-        duty: motor voltage as a share of the battery voltage, -1..1.
+        duty: motor voltage as a share of the battery voltage, -1..1; the commanded one of a controller that
+            reports none.
         motor_a, input_a: motor current and battery current.
         input_v: battery voltage at the controller.
         fet_c, motor_c: temperatures of power stage and motor.
@@ -233,12 +234,14 @@ class ThrustSample:
         throttle: 0..1; the force is proportional to its square. The last value sent, NaN where this program
             has sent none; where controllers report their speed, the share of full speed.
         speed_rpm: mean speed that the controllers report; else NaN.
+        trouble: contradiction between the controllers' measurements, as a text; empty for none.
     """
 
     stamp: Stamp
     throttle: float
     speed_rpm: float
     status: Status = Status.OK
+    trouble: str = ""
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,7 @@ class BusCycle:
         self._protocol = protocol_of(spec)
         self._mine: deque[Wire] = deque(maxlen=_ECHOES)
         self._state = ""
+        self._sags = False
         self._quiet_until_ns = 0
         self._failing_ns: int | None = None
         self.bus_error = ""
@@ -113,6 +114,9 @@ class BusCycle:
         elif bus is not None:
             self._failing_ns = None
             self._troubled("")
+        if bool(self.control.trim.sag) != self._sags:
+            self._sags = not self._sags
+            self._say(self.control.trim.sag or "the fan turns as it was set again")
         if (state := self.control.state()) != self._state:
             self._state = state
             at = f" at {order.quantity} {order.value:.4g}" if order is not None and state != "idle" else ""
@@ -124,7 +128,8 @@ class BusCycle:
         return {
             "state": control.state(),
             "sent": control.sent,
-            "target": control.target,
+            "target": control.aim,
+            "sag": control.trim.sag,
             "sent_age_s": _age_s(self.sent_ns, t_ns),
             "worst_gap_s": self.worst_gap_ns / NS_PER_S,
             "commands": self.commands,

@@ -181,7 +181,9 @@ class FailoverClient(MotorCommander):
             reported = (self._in_for, self._shut_out, self._cycle.bus_error)
             self._trouble = "; ".join(text for text in reported if text)
         else:
-            self._trouble = str(self._refused or self._shut_out or self._status.get("bus_error", ""))
+            status = self._status
+            amiss = self._refused or self._shut_out or status.get("bus_error") or status.get("sag")
+            self._trouble = str(amiss or "")
 
     def _amiss(self, t_ns: int) -> str:
         """The daemon's fault in words; empty for none."""
@@ -321,4 +323,4 @@ class FailoverClient(MotorCommander):
         control = self._cycle.control
         if control.ending:
             return off_request("asked for before the daemon was started anew")
-        return None if control.target is None else set_request(control.target)
+        return None if control.aim is None else set_request(control.aim)

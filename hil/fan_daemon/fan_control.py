@@ -1,8 +1,9 @@
 """Decides the set-point that is sent to a fan: a pure function of time, received reports and requests.
 
 It never stops a fan by itself. A set-point stays until another is requested; it changes along a ramp; only
-`end` leads down to rest. A fan that runs already when the daemon starts is taken over as it runs. The same
-class works in the daemon's process, in a bench that replaces it, and in virtual time.
+`end` leads down to rest. A duty is raised while the battery sags, so that the force stays (`VoltageTrim`). A
+fan that runs already when the daemon starts is taken over as it runs. The same class works in the daemon's
+process, in a bench that replaces it, and in virtual time.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import NamedTuple
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError, UsageError, did_you_mean
 from hil.fan_daemon.spec import Spec
+from hil.fan_daemon.voltage_trim import VoltageTrim
 
 _LISTEN_NS = nanoseconds(1.5)
 """Time after its start in which a daemon looks for a fan that runs already."""
@@ -64,6 +66,7 @@ class FanControl:
         ending: whether the fan is on its way to rest.
         report: the fan's reports, by quantity; `report_ns` when it last reported its speed.
         others: ids of other controllers on the bus.
+        trim: correction of a duty while the battery sags.
     """
 
     def __init__(self, spec: Spec, *, adopts: bool = True) -> None:
@@ -74,6 +77,7 @@ class FanControl:
         self.report: dict[str, float] = {}
         self.report_ns: int | None = None
         self.others: set[int] = set()
+        self.trim = VoltageTrim()
         self._theirs = False
         self._born_ns: int | None = None
         self._last_ns = 0
@@ -96,6 +100,9 @@ class FanControl:
         self.report.update(values)
         if "erpm" in values:
             self.report_ns = t_ns
+        sent, target = self.sent, self.target
+        if sent is not None and target is not None and not self.ending and target.quantity == "duty":
+            self.trim.take(t_ns, values, sent.value, target.value, self._spec.highest["duty"])
         if running is not None and self.sent is None:
             self._take_over(t_ns, running)
 
@@ -125,6 +132,7 @@ class FanControl:
         self._born(t_ns)
         self._last_ns = t_ns
         self.sent, self.target, self.ending = self._clipped(sent), self._clipped(target), False
+        self.trim.begin()
 
     def set_target(self, t_ns: int, wanted: SetPoint) -> None:
         """Change the set-point; cancels an `end` that is under way.
@@ -139,6 +147,14 @@ class FanControl:
             self.sent = self._clipped(SetPoint(wanted.quantity, self._measured(t_ns, wanted.quantity)))
             self._last_ns = t_ns
         self.target, self.ending, self._theirs = wanted, False, False
+        self.trim.begin()
+
+    @property
+    def aim(self) -> SetPoint | None:
+        """The set-point with its correction: where the ramp leads, and what another process goes on with."""
+        if self.target is None or self.ending or self.target.quantity != "duty":
+            return self.target
+        return self._clipped(SetPoint("duty", self.target.value * self.trim.lift))
 
     def end(self, t_ns: int) -> None:
         """Let the fan come to rest along the ramp. The caller has confirmed that nothing hangs by it."""
@@ -151,10 +167,11 @@ class FanControl:
         self._born(t_ns)
         step_s = min(t_ns - self._last_ns, _LONGEST_STEP_NS) / NS_PER_S
         self._last_ns = t_ns
-        if self.sent is None or self.target is None:
+        towards = self.aim
+        if self.sent is None or towards is None:
             return RELEASE if t_ns < self._released_ns else None
         quantity, value = self.sent
-        highest, aim = self._spec.highest[quantity], self.target.value
+        highest, aim = self._spec.highest[quantity], towards.value
         if aim >= value:
             value = min(aim, value + step_s * highest / self._spec.ramp_up_s)
         else:

@@ -35,7 +35,7 @@ from hil.core.signals import (
     ServoSetpoint,
     WheelSetpoint,
 )
-from hil.loop.checks.adhesion import LETTING_GO
+from hil.loop.checks.adhesion import presses_harder
 from hil.loop.checks.loop_pause import HELD_UP_NS, stood_still
 from hil.loop.device_set import DeviceSet
 from hil.loop.pipeline import OUTSIDE, ControlPipeline
@@ -196,7 +196,8 @@ class ControlLoop:
         with self._undivided():
             if self.rig.servos is not None:
                 self.rig.servos.stop()
-            if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:
+            hold = self.pipeline.supervisor.checks.hold
+            if isinstance(stop, SafetyStop) and presses_harder(stop.reason, hold):
                 self.rig.brace()
             event = Event(inputs.t_ns, "error", source, str(stop))
             zero = np.zeros(4)

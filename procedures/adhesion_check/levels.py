@@ -52,7 +52,7 @@ class Needs:
 def needs_of(config: BenchConfig) -> Needs:
     """Return the forces for a configuration with fan and cells; raises `ConfigError` without a fan."""
     limits = adhesion_limits(config)
-    if limits is None or not limits.has_fan:
+    if limits is None or limits.fan is None:
         raise ConfigError(f"{config.name} has no fan", remedy="add the section [adhesion] to the bench file")
     thrust_n, heading_rad = thrust_wanted_n(config), config.environment.start_pose[2]
     return Needs(
@@ -63,8 +63,8 @@ def needs_of(config: BenchConfig) -> Needs:
         limits.statics.needed_n(thrust_n, heading_rad),
         limits.limit_n(thrust_n, heading_rad),
         limits.reserve,
-        limits.rated_n,
-        limits.rated_rpm,
+        limits.fan.rated_n,
+        limits.fan.rated_rpm,
     )
 
 

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 from kills import daemon_pid, end_daemon
 
-from hil.bench import fan_commands, fan_interlock
+from hil.bench import fan_commands, fan_interlock, fan_start_check
 from hil.bench.drivers import make_device_set
 from hil.bench.fan_commands import daemon_spec, daemon_specs
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, UsageError
-from hil.core.signals import Status
+from hil.core.signals import AdhesionSample, Stamp, Status
 from hil.fan_daemon import client
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.server import of_another
@@ -256,6 +256,13 @@ def test_the_service_is_started_by_a_command_that_there_is():
     assert words[1:4] == ["adhesion", "keep", "--bench"]
     assert unit["Unit"]["RefuseManualStop"] == "yes"
     assert (unit["Service"]["Restart"], unit["Service"]["SendSIGKILL"]) == ("always", "no")
+    priority = int(unit["Service"]["CPUSchedulingPriority"])
+    assert int(unit["Service"]["LimitRTPRIO"]) >= priority, "the standby asks for it, and is not root"
+
+
+def fan_says(rpm, duty=math.nan, input_v=math.nan):
+    """A report of the fan's controller."""
+    return AdhesionSample(Stamp(0, 0, 0), rpm, duty, math.nan, math.nan, input_v, math.nan, math.nan)
 
 
 class Seen:
@@ -280,10 +287,11 @@ def robot(monkeypatch, *, up, cells_n, rpm):
     devices = {
         "imu": Seen(SimpleNamespace(status=ok, gravity_m_s2=9.81 * np.array(up))),
         "load_cells": Seen(SimpleNamespace(status=(ok, ok), force_n=np.array([cells_n / 2, cells_n / 2]))),
-        "adhesion": Seen(SimpleNamespace(status=ok, speed_rpm=rpm)),
+        "adhesion": Seen(fan_says(rpm)),
     }
-    for module in (fan_commands, fan_interlock):
+    for module in (fan_commands, fan_interlock, fan_start_check):
         monkeypatch.setattr(module, "make_device_set", lambda config, clock, connections: devices)
+    for module in (fan_commands, fan_interlock):
         monkeypatch.setattr(module, "WATCH_S", 0.05)
     return load_bench("emulated").model_copy(
         update={
@@ -327,9 +335,7 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
     """What `switch_on` asked of the fan since it opened it last."""
     config, given = robot(monkeypatch, up=up, cells_n=cells_n, rpm=rpm), []
     fan = fan_commands.make_device_set(None, None, None)["adhesion"]
-    sample = SimpleNamespace(
-        status=Status.OK, speed_rpm=rpm, duty=rpm / 36_000.0, input_v=22.0, trouble="", stamp=None
-    )
+    sample = fan_says(rpm, rpm / 36_000.0, 22.0)
     fan.__dict__.update(
         open=given.clear,
         read=lambda: given.append("read") or (sample,),
@@ -416,3 +422,23 @@ client.ask(connection, client.set_request(SetPoint("duty", 0.4)), spec)
 print("set", flush=True)
 sys.stdin.read()
 """
+
+
+def test_on_asks_the_load_cells_before_it_says_that_the_fan_presses(monkeypatch):
+    """Another motor may answer at the fan's id: it turns as told, and nothing presses."""
+    config = robot(monkeypatch, up=ON_THE_WALL, cells_n=0.2, rpm=30_000.0)
+    check = fan_start_check.FanStartCheck(config, config.devices()["adhesion"])
+    assert "load cells measure 0.2 N, and the speed is good for 45.0 N" in check.by_cells(
+        45.0, MonotonicClock()
+    )
+    config = robot(monkeypatch, up=ON_THE_WALL, cells_n=44.0, rpm=30_000.0)
+    check = fan_start_check.FanStartCheck(config, config.devices()["adhesion"])
+    assert check.by_cells(45.0, MonotonicClock()) == ""
+
+
+def test_a_fan_of_which_one_measurement_says_less_is_not_taken_for_less(monkeypatch):
+    """The speed says 11 N, duty and voltage 45 N: 40 N would lower it."""
+    config = robot(monkeypatch, up=ON_THE_WALL, cells_n=45.0, rpm=15_000.0)
+    fan = config.devices()["adhesion"]
+    assert max(fan_interlock.forces_now_n(fan, fan_says(15_000.0, 0.83, 22.0))) > 40.0
+    assert fan_interlock.duty_n(fan, 0.83, fan_says(60_000.0, 0.83, 22.0)) < 50.0

@@ -2,13 +2,17 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.config.adhesion import VescConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError, DeviceError, UsageError
+from hil.fakes.adhesion import AdhesionTruthOptions
+from hil.fakes.adhesion.fan_physics import Demand, Fan
 from hil.fan_daemon.fan_control import RELEASE, FanControl, SetPoint
 from hil.fan_daemon.spec import Spec
 
@@ -216,3 +220,44 @@ def test_a_spec_survives_the_way_to_the_process():
     assert Spec.from_json(SPEC.to_json()) == SPEC
     with pytest.raises(ConfigError, match="the daemon's start"):
         Spec.from_json('{"interface": "socketcan", "wheels": 4}')
+
+
+def kept(duration_s, *, pack_ah=1000.0, report=lambda figures: figures):
+    """First and last force of a fan that a daemon keeps on a battery of some charge, and the daemon."""
+    fan = Fan(VescConfig(), AdhesionTruthOptions(pack_ah=pack_ah), 1.0)
+    fan.begin(30_000.0)
+    control, first_n = FanControl(replace(SPEC, highest={"duty": 0.95})), fan.force_n
+    control.resume(0, SetPoint("duty", fan.duty), SetPoint("duty", fan.duty))
+    for k in range(round(duration_s / SPEC.period_s)):
+        t_ns = k * PERIOD_NS
+        fan.demand = Demand("duty", control.next_command(t_ns).value)
+        fan.advance(t_ns)
+        figures = {"duty": fan.duty, "erpm": 3.0 * fan.speed_rpm}
+        if k % 4 == 0:
+            figures["input_v"] = fan.input_v
+        control.reported(t_ns, 7, report(figures) if t_ns > 5_000_000_000 else figures, None)
+    return first_n, fan.force_n, control
+
+
+def test_the_force_stays_while_the_battery_sags():
+    first_n, last_n, control = kept(120.0, pack_ah=2.0)
+    assert last_n == pytest.approx(first_n, rel=0.02)
+    assert not control.trim.sag
+    assert control.aim.value > 1.05 * control.target.value, "whoever takes over goes on from there"
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"input_v": 0.7}, {"input_v": 1.4}, {"erpm": 0.5}, {"erpm": 2.0}, {"erpm": -1.0}]
+)
+def test_one_wrong_report_changes_nothing(wrong):
+    def report(figures):
+        return {name: value * wrong.get(name, 1.0) for name, value in figures.items()}
+
+    first_n, last_n, _ = kept(30.0, report=report)
+    assert last_n == pytest.approx(first_n, rel=0.01)
+
+
+def test_a_battery_that_cannot_keep_the_force_is_told():
+    first_n, last_n, control = kept(100.0, pack_ah=1.0)
+    assert last_n < 0.97 * first_n
+    assert "the battery sags to" in control.trim.sag

@@ -300,7 +300,7 @@ def test_one_controller_that_says_nothing_stops_the_wheels():
 
         def hush(record):
             if record.inputs.t_ns > 2 * S:
-                node._silenced = lambda t_ns: True
+                node._asleep = lambda t_ns: True
 
         with pytest.raises(SafetyStop) as caught:
             bench.drive(CLIMB, feedback="odometry", on_cycle=hush)

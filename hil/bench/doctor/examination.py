@@ -43,7 +43,7 @@ from hil.estimator.sample_statistics import Spread, about_a_line, blocks, total
 from hil.estimator.tuning import value_of
 from hil.links.serial_url import latency_timer
 from hil.loop.alignment import Alignment
-from hil.loop.checks.adhesion import DISAGREE_N, DISAGREE_SHARE, apart
+from hil.robot.believed_force import DISAGREE_N, DISAGREE_SHARE, apart
 
 NOISIER, BETTER = 2.0, 0.5
 """Ratio of the standard deviation to the measured one beyond which a finding warns: twice, or half of it."""

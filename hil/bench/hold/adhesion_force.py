@@ -1,5 +1,8 @@
 """Checks that the fan's force is measured and holds the robot: one condition of HELD.
 
+The force that counts is the one on which two measurements agree, else the smallest; without a second sensor
+that confirms it, more is asked for (`hil.robot.believed_force.UNCONFIRMED`).
+
 A robot whose fan has just failed is still at rest. A controller without reports may have stopped its motor,
 or will do so at its timeout, and the fan takes a second to run down. So a silent fan is not trusted until
 the load cells have measured enough force for longer than that, and a falling force counts as NOT HELD before
@@ -24,9 +27,11 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import HilError
 from hil.core.registry import kinds
 from hil.core.signals import LoadCellSample, Status, worst
-from hil.loop.checks.adhesion import AdhesionLimits
+from hil.loop.checks.adhesion_limits import AdhesionLimits, FanForces
 from hil.loop.checks.force_trend import ForceTrend
 from hil.loop.device_set import DeviceSet
+from hil.robot.believed_force import CELLS, UNCONFIRMED, Believed
+from hil.robot.motor_cross_checks import POWER, SPEED, VOLTAGE
 
 RUN_DOWN_S = 1.0
 """By then a fan without current has lost more force than any reserve."""
@@ -34,21 +39,39 @@ _AHEAD_S = 6.0
 """A falling force holds the robot only if it will be sufficient for this time."""
 MEASURES = ("adhesion", "load_cells")
 """Kinds whose samples give a force."""
-FAN, _CELLS = "the fan's speed", "the load cells"
+_CELLS_KEYS = ("load_cells.n_per_count", "load_cells.zero_n")
 
 
-def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
-    """(sensor, time in ns, force in N) of each usable sample of the adhesion force.
+class MeasuredForces:
+    """Forces by the samples of fan and load cells.
 
     Args:
         limits: adhesion limits of the bench.
-        samples: samples of the kinds in `MEASURES`.
+
+    Attributes:
+        fan: what the fan's controller reports.
     """
-    for sample in samples:
-        if worst(sample) is Status.OK:
-            cells = isinstance(sample, LoadCellSample)
-            sensor, force_n = (_CELLS, limits.cells_n(sample)) if cells else (FAN, limits.speed_n(sample))
-            yield sensor, sample.stamp.t_ns, force_n
+
+    def __init__(self, limits: AdhesionLimits) -> None:
+        self._limits, self.fan = limits, FanForces(limits.fan)
+
+    def take(self, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
+        """(measurement, time in ns, force in N) of each usable sample of the kinds in `MEASURES`."""
+        for sample in samples:
+            if isinstance(sample, LoadCellSample):
+                force_n = self._limits.cells_n(sample)
+                if worst(sample) is Status.OK and math.isfinite(force_n):
+                    yield CELLS, sample.stamp.t_ns, force_n
+            elif self.fan.take(sample):
+                for name, force_n in self.fan.forces_n.items():
+                    yield name, sample.stamp.t_ns, force_n
+
+
+def in_words(forces: Mapping[str, float], believed: Believed) -> str:
+    """Text with the forces by speed and cells, the one that counts, and those that contradict it."""
+    told = {name: n for name, n in forces.items() if name in (SPEED, CELLS, believed.by)}
+    told.update(believed.against)
+    return ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in told.items())
 
 
 class AdhesionForceCheck:
@@ -61,10 +84,12 @@ class AdhesionForceCheck:
         alone: check of propellers that report nothing.
         carried: whether such propellers carry a robot that can fall.
         pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
+        push_keys: keys of the bench file that scale the propellers' push.
 
     Attributes:
         heading_rad: last estimated heading of the body.
         waits: whether only the check of propellers without commands is unfinished.
+        lacks: whether the measured force is too small, or falls.
     """
 
     def __init__(
@@ -75,6 +100,7 @@ class AdhesionForceCheck:
         alone: PropellerObservation,
         carried: bool = False,
         pretended: Sequence[str] = (),
+        push_keys: Sequence[str] = (),
     ) -> None:
         self._rig, self._limits, self._pretended = rig, limits, tuple(pretended)
         self._outlasts_ns = nanoseconds(RUN_DOWN_S + (0.0 if fan is None else fan.timeout_s))
@@ -84,8 +110,11 @@ class AdhesionForceCheck:
         self._push: tuple[int, float] | None = None
         self._enough_since_ns: int | None = None
         self._alone, self._carried = alone, carried
+        self._push_keys = tuple(push_keys)
+        self._push_trouble = ""
+        self._measured = None if limits is None else MeasuredForces(limits)
         self.heading_rad = 0.0
-        self.waits = False
+        self.waits = self.lacks = False
 
     def begin(self, *, for_good: bool = False) -> None:
         """Begin a check and discard earlier samples; `for_good`: the last check before the bench closes."""
@@ -108,31 +137,33 @@ class AdhesionForceCheck:
             sees_slide: whether a trusted position sensor shows the robot at rest.
             moves: whether a sensor shows motion.
         """
-        self.waits = False
-        if self._limits is None:
+        self.waits = self.lacks = False
+        if self._limits is None or self._measured is None:
             return self._nothing_real() or self._unmeasured(now_ns, sees_slide, moves)
         for name in MEASURES:
-            for sensor, t_ns, force_n in measured_n(self._limits, self._samples(name)):
-                if math.isfinite(force_n):
-                    self._forces[sensor] = t_ns, force_n
-                    self._trends.setdefault(sensor, ForceTrend()).follow(t_ns, force_n)
+            for sensor, t_ns, force_n in self._measured.take(self._samples(name)):
+                self._forces[sensor] = t_ns, force_n
+                self._trends.setdefault(sensor, ForceTrend()).follow(t_ns, force_n)
         fresh = self._fresh(now_ns)
-        push_n, without = self._counted_push(now_ns, sees_slide, moves, fresh)
-        least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
-        message = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
-        if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
+        believed = self._limits.believed(fresh)
+        push_n, without = self._counted_push(now_ns, sees_slide, moves, believed.force_n)
+        least_n = self._least_n(push_n, believed)
+        message = in_words(fresh, believed)
+        if not believed.force_n >= least_n:  # NaN is not enough either
             message = message or "no sensor measures it"
-            whole_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
-            self.waits = self._alone.begun and min(fresh.values(), default=0.0) >= whole_n
+            whole_n = self._least_n(self._limits.nominal_thrust_n, believed)
+            self.waits = self._alone.begun and believed.force_n >= whole_n
+            self.lacks = believed.force_n < whole_n
             if self.waits:
                 self._outlasted(now_ns, fresh)
             else:
                 self._enough_since_ns = None
-            needed = f"{least_n:.1f} N are needed{without}"
+            needed = f"{least_n:.1f} N are needed{self._unconfirmed(believed)}{without}"
             return f"what presses the robot on the wall: {message}; {needed}: secure the robot"
-        for name, force_n in fresh.items():
+        for name in {*fresh} - {*believed.against, POWER}:
             falling_n_s = -self._trends[name].slope_n_s()
-            if not force_n - _AHEAD_S * falling_n_s >= least_n:
+            if not fresh[name] - _AHEAD_S * falling_n_s >= least_n:
+                self.lacks = True
                 return (
                     f"the force by {name} falls by {falling_n_s:.0f} N/s; {message} so far: secure the robot"
                 )
@@ -140,9 +171,20 @@ class AdhesionForceCheck:
             return f"the fan's controller is silent, it may have let go; {message} so far: secure the robot"
         return ""
 
+    def _least_n(self, push_n: float, believed: Believed) -> float:
+        """Force that is needed with a push of the propellers; more where nothing confirms the force."""
+        assert self._limits is not None
+        needed_n = self._limits.statics.needed_n(push_n, self.heading_rad)
+        return needed_n if believed.confirmed else UNCONFIRMED * needed_n
+
+    def _unconfirmed(self, believed: Believed) -> str:
+        if believed.confirmed or not believed.by:
+            return ""
+        return f" ({UNCONFIRMED:g} times what the robot needs, as no second sensor confirms the force)"
+
     def _outlasted(self, now_ns: int, fresh: Mapping[str, float]) -> bool:
         """Whether the fan reports, or has pressed without reports for longer than its run-down time."""
-        if not (self._limits and self._limits.has_fan) or FAN in fresh:
+        if not (self._limits and self._limits.has_fan) or SPEED in fresh or VOLTAGE in fresh:
             self._enough_since_ns = None
             return True
         if self._enough_since_ns is None:
@@ -170,9 +212,7 @@ class AdhesionForceCheck:
         seen = _to_be_seen(left_s)
         return f"what carries the robot is not measured: the propellers report nothing, and {seen}"
 
-    def _counted_push(
-        self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
-    ) -> tuple[float, str]:
+    def _counted_push(self, now_ns: int, sees_slide: bool, moves: bool, force_n: float) -> tuple[float, str]:
         """Confirmed push of the propellers (N), and why it is less than commanded, as a text."""
         limits = self._limits
         assert limits is not None
@@ -181,9 +221,10 @@ class AdhesionForceCheck:
         if "thrust" in self._pretended:
             return 0.0, " without the propellers: they are emulated beside real servos"
         if not limits.reports_thrust:
-            return self._unheard_push(now_ns, sees_slide, moves, fresh)
+            return self._unheard_push(now_ns, sees_slide, moves, force_n)
         for sample in self._samples("thrust"):
             push_n = limits.push_n(sample)
+            self._push_trouble = sample.trouble
             if math.isfinite(push_n):
                 self._push = sample.stamp.t_ns, push_n
         if self._push is None or now_ns - self._push[0] > self._stale_ns:
@@ -193,20 +234,20 @@ class AdhesionForceCheck:
                 f" without the propellers: they report {self._push[1]:.1f} N, more than the "
                 f"{limits.nominal_thrust_n:.1f} N that they are to give, so that what they give is not known"
             )
+        if self._push_trouble:
+            return 0.0, f" without the propellers, whose reports contradict each other: {self._push_trouble}"
         return self._push[1], f" with the {self._push[1]:.1f} N that the propellers report"
 
-    def _unheard_push(
-        self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
-    ) -> tuple[float, str]:
+    def _unheard_push(self, now_ns: int, sees_slide: bool, moves: bool, force_n: float) -> tuple[float, str]:
         """As `_counted_push`, for propellers without reports; (0, "") where the fan alone holds the robot."""
         limits = self._limits
         assert limits is not None
         statics, heading_rad, asked_n = limits.statics, self.heading_rad, limits.nominal_thrust_n
-        if fresh and min(fresh.values()) >= statics.needed_n(0.0, heading_rad):
+        if force_n >= UNCONFIRMED * statics.needed_n(0.0, heading_rad):
             return 0.0, ""
-        force_n = max(fresh.values(), default=0.0)
-        least_n = least_push_n(statics, force_n, asked_n, heading_rad)
-        rests = sees_slide and bool(fresh)
+        measured = math.isfinite(force_n)
+        least_n = least_push_n(statics, force_n if measured else 0.0, asked_n, heading_rad)
+        rests = sees_slide and measured
         left_s = self._alone.left_s(now_ns, rests=rests, moves=moves, least_n=least_n)
         if not left_s:
             return asked_n, ""
@@ -214,21 +255,42 @@ class AdhesionForceCheck:
 
     def feels(self, now_ns: int) -> bool:
         """Whether the load cells have measured the force recently; it is sufficient if `doubt` is empty."""
-        return _CELLS in self._fresh(now_ns)
+        return CELLS in self._fresh(now_ns)
+
+    def basis(self, now_ns: int) -> tuple[str, bool, tuple[str, ...]]:
+        """What HELD rests on: measurement of the force, whether another confirms it, keys that scale it.
+
+        The name is empty, and there are no keys, where no sensor measures the force.
+        """
+        if self._limits is None:
+            return "", False, ()
+        believed = self._limits.believed(self._fresh(now_ns))
+        keys: tuple[str, ...] = ()
+        if believed.by == CELLS:
+            keys = _CELLS_KEYS
+        elif self._limits.fan is not None and believed.by:
+            fan = self._limits.fan
+            keys = fan.keys if believed.by == SPEED else (f"{fan.table}.rpm_per_v", *fan.keys[-2:])
+        pushed = self._push_keys if keys and self._limits.nominal_thrust_n else ()
+        return believed.by.removeprefix("the "), believed.confirmed, (*keys, *pushed)
 
     def in_words(self, now_ns: int) -> str:
         """Text with the adhesion force by each sensor, and the silent sensors; empty without a sensor."""
         if self._limits is None:
             return ""
         fresh = self._fresh(now_ns)
-        measures = {FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
-        reported = [
-            f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
-            for name, there in measures.items()
-            if there
-        ]
+        believed = self._limits.believed(fresh)
+        measures = {SPEED: self._limits.has_fan, CELLS: self._limits.zero_n is not None}
+        reported = [in_words(fresh, believed)] * bool(fresh)
+        reported += [f"nothing by {name}" for name, there in measures.items() if there and name not in fresh]
+        if believed.against:
+            reported.append(f"{believed.by} counts, the other contradicts it")
+        for text in (self._measured.fan.contradiction if self._measured else "", self._push_trouble):
+            reported += [text] * bool(text)
         if self._limits.nominal_thrust_n and not self._limits.reports_thrust:
             reported.append("the propellers report nothing")
+        if believed.by and not believed.confirmed:
+            reported.append("no second sensor confirms the force")
         return f"; pressed on the wall: {', '.join(reported)}"
 
     def _fresh(self, now_ns: int) -> dict[str, float]:
@@ -263,4 +325,6 @@ def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
     carried = carried and not isinstance(own, DaemonMotorConfig)
-    return AdhesionForceCheck(rig, limits, kept, PropellerObservation(rig, own, asked_n), carried, pretended)
+    push_keys = () if own is None else own.push_keys
+    alone = PropellerObservation(rig, own, asked_n)
+    return AdhesionForceCheck(rig, limits, kept, alone, carried, pretended, push_keys)

@@ -13,6 +13,7 @@ from hil.core.errors import HilError
 from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord
 from hil.loop.device_set import DeviceSet
+from hil.robot.believed_force import apart
 
 _EVERY_NS = nanoseconds(0.5)
 _MARGIN = 1.1
@@ -40,7 +41,10 @@ class ForceController(Sink):
         self._next_ns = 0
 
     def write(self, record: CycleRecord) -> None:
-        """Adjust the force twice a second: raise it at once, lower it in small steps."""
+        """Adjust the force twice a second: raise it at once, lower it in small steps.
+
+        It is lowered only while load cells and fan agree on it.
+        """
         t_ns = record.inputs.t_ns
         if t_ns < self._next_ns or self._limits is None or "adhesion_n" not in record.state.diagnostics:
             return
@@ -49,10 +53,12 @@ class ForceController(Sink):
             return
         self._next_ns = t_ns + _EVERY_NS
         wanted_n = min(_MARGIN * self._limits.limit_n(self._thrust_n, heading_rad), self._highest_n)
-        runs_n = record.state.diagnostics.get("adhesion_fan_n", self._asked_n)
-        if runs_n > self._asked_n + _RAISED_N:
+        found = record.state.diagnostics
+        runs_n, cells_n = found.get("adhesion_fan_n", math.nan), found.get("adhesion_cells_n", math.nan)
+        agree = math.isfinite(runs_n) and math.isfinite(cells_n) and not apart(cells_n, runs_n)
+        if agree and runs_n > self._asked_n + _RAISED_N:
             self._asked_n = min(runs_n, self._highest_n)
-        force_n = max(wanted_n, self._asked_n - LARGEST_STEP_DOWN_N)
+        force_n = max(wanted_n, self._asked_n - LARGEST_STEP_DOWN_N if agree else self._asked_n)
         if abs(force_n - self._asked_n) < _CHANGE_N:
             return
         with contextlib.suppress(HilError):

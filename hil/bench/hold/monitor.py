@@ -55,6 +55,10 @@ _CALM_M_S2 = 2.0
 """Largest difference of the median specific force from gravity; data sheets allow 0.8."""
 _SLOW_NS = nanoseconds(1.5)
 """Time limit for an IMU that has begun to deliver: on a busy computer its samples come late."""
+_STOPPED_NS = nanoseconds(0.5)
+"""By then the wheels rest after a stop, and what still moves slides."""
+_RISES_NS = nanoseconds(2.0)
+"""Time that a fan takes to a higher force: meanwhile a force that falls seems to rise."""
 _MOVED_M = 0.001
 _UNSEEN_M = 0.005
 """Largest undetected motion of a held robot after its stop."""
@@ -140,6 +144,8 @@ class HoldMonitor(Sink):
         self._motion_sources = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in sources]
         self._doubted: dict[str, bool] = {}
         self._unread: set[str] = set()
+        self._pressed_ns: int | None = None
+        self._seen_moving = False
         self._jumps = FrameJumps()
         self._let_go = False
         self.last_state: RobotState | None = None
@@ -228,6 +234,7 @@ class HoldMonitor(Sink):
             for name, kind in self._seeing.items()
         }
         self._press.begin(for_good=for_good)
+        self._pressed_ns = None
         self._felt_m_s2.clear()
         self._unread.clear()
         while True:
@@ -241,8 +248,13 @@ class HoldMonitor(Sink):
             unpressed = self._press.doubt(
                 self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=moves
             )
-            time.on_observation(hold.t_ns, doubt=bool(doubt), waits=self._press.waits)
+            now_ns = self._clock.now_ns()
+            self._press_harder(now_ns, began_ns)
+            rises = self._pressed_ns is not None and now_ns - self._pressed_ns < _RISES_NS
+            time.on_observation(hold.t_ns, doubt=bool(doubt), waits=self._press.waits or rises)
             doubt = doubt or unpressed or self._doubt_of_floor()
+            if rises:
+                doubt = doubt or "the fan has just been raised: what it gives then has not been seen yet"
             # wait no longer than this for sensors that have begun to deliver
             early = hold.t_ns - began_ns < 2 * max(trail.window_ns for trail in trails.values())
             slow = self.tilt.begun and hold.t_ns - began_ns < _SLOW_NS
@@ -259,6 +271,13 @@ class HoldMonitor(Sink):
                 return self._verdict("NOT HELD", doubt + late, seen)
             pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
+
+    def _press_harder(self, now_ns: int, began_ns: int) -> None:
+        """Raise the fan, once a check, if the force is too small or the robot slides after it has stopped."""
+        slides = self._seen_moving and now_ns - began_ns > _STOPPED_NS
+        if self._can_fall and self._pressed_ns is None and (slides or self._press.lacks):
+            self._pressed_ns = now_ns
+            self._rig.brace()
 
     def _grounds(self, t_ns: int, seen: Collection[str], places: Collection[str]) -> str:
         """Text with the evidence that the robot is held."""
@@ -291,8 +310,12 @@ class HoldMonitor(Sink):
         no_floor = self._doubt_of_floor()
         if no_floor and no_floor not in why:
             why += f"; {no_floor}"
-        held = Held(state, moved_m, why, wanted)
-        return held if self._on_wall or no_floor else on_the_floor(held)
+        if not (self._on_wall or no_floor):
+            known = self.tilt.known
+            by, keys = "IMU" if known else "", ("environment.tilt_rad",)
+            return on_the_floor(Held(state, moved_m, why, wanted, by=by, confirmed=known, rests_on=keys))
+        by, confirmed, rests_on = self._press.basis(self._clock.now_ns())
+        return Held(state, moved_m, why, wanted, by=by, confirmed=confirmed, rests_on=rests_on)
 
     def let_go(self) -> None:
         """Note that torque is about to be released on purpose, so that torque off is not a loss."""
@@ -360,6 +383,7 @@ class HoldMonitor(Sink):
             places: those of them that would detect a slide, and are trusted.
         """
         felt = self._doubt_of_weight()
+        self._seen_moving = False
         if hold.trouble or felt:
             servos = lacking_in_words(hold) if hold.trouble else "torque is on"
             return "; ".join([felt, servos] if felt else [servos])
@@ -369,6 +393,7 @@ class HoldMonitor(Sink):
             return f"torque is on, but {who} have not been seen at rest for long enough"
         for name in seen:
             if not self._doubted.get(name) and trails[name].moves():
+                self._seen_moving = name in places
                 return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
         if len(self._seeing) > 1 and not any(n != JOINTS and not self._doubted.get(n) for n in seen):
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hil.bench.hold.adhesion_force import FAN, MEASURES, measured_n
+from hil.bench.hold.adhesion_force import MEASURES, MeasuredForces, in_words
 from hil.bench.hold.force_controller import LARGEST_STEP_DOWN_N
 from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
@@ -16,8 +16,10 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, SafetyStop
 from hil.core.registry import kinds
 from hil.core.signals import Status
-from hil.loop.checks.adhesion import AdhesionLimits, apart
+from hil.loop.checks.adhesion_limits import AdhesionLimits
 from hil.loop.device_set import DeviceSet
+from hil.robot.believed_force import CELLS, Believed
+from hil.robot.motor_cross_checks import SPEED, VOLTAGE
 
 _STEP_NS = nanoseconds(0.01)
 _PATIENCE_NS = nanoseconds(12.0)
@@ -41,6 +43,8 @@ class Preload:
         self._config, self._rig, self._clock = config, rig, clock
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}
+        self._measured = None if self._limits is None else MeasuredForces(self._limits)
+        self._push_trouble = ""
         propellers = config.of(ThrustConfig)
         self._propellers = propellers if isinstance(propellers, DaemonMotorConfig) else None
         self._push_n = 0.0
@@ -66,9 +70,12 @@ class Preload:
         if limits is None:
             return ""
         raised_n = self._raised_n(limits)
-        self._ask("adhesion", raised_n or force_wanted_n(self._config))
+        self._compare("nothing has been changed", settled=False)
+        fan = self._config.of(AdhesionConfig)
+        if fan is None or raised_n <= fan.highest_force_n:  # a fan that runs at more goes on so
+            self._ask("adhesion", raised_n or force_wanted_n(self._config))
         limit_n = self._wait(limits, thrust_n)
-        self._compare()
+        self._compare("nothing has moved")
         message = (
             f"Pressed on the wall with {self._forces_text()}; {limit_n:.1f} N are the least on this surface."
         )
@@ -93,10 +100,10 @@ class Preload:
         if fan is None or not limits.has_fan:
             return 0.0
         end_ns = self._clock.now_ns() + _NO_SAMPLE_NS
-        while FAN not in self._seen_n and self._clock.now_ns() < end_ns:
+        while SPEED not in self._seen_n and self._clock.now_ns() < end_ns:
             self._look()
             self._clock.sleep_until_ns(self._clock.now_ns() + _STEP_NS)
-        runs_n = min(self._seen_n.get(FAN, 0.0), fan.highest_force_n)
+        runs_n = self._seen_n.get(SPEED, 0.0)
         return runs_n if runs_n > wanted_n + LARGEST_STEP_DOWN_N else 0.0
 
     def _ask(self, name: str, force_n: float) -> None:
@@ -115,18 +122,30 @@ class Preload:
                     raise
             self._clock.sleep_until_ns(self._clock.now_ns() + _STEP_NS)
 
-    def _compare(self) -> None:
-        """Raise `SafetyStop` if load cells and fan speed give different forces."""
-        found = list(self._seen_n.values())
-        if len(found) == 2 and apart(found[0], found[1]):
+    def _compare(self, state: str, *, settled: bool = True) -> None:
+        """Raise `SafetyStop` if measurements of the force contradict each other, and may let the robot fall.
+
+        Args:
+            state: what has become of the robot so far, in words.
+            settled: whether fan and cells have had time to agree: a tether may press, too.
+        """
+        assert self._measured is not None
+        believed, fan = self._believed(), self._measured.fan
+        why = fan.impossible or ("" if believed.confirmed else fan.contradiction)
+        split = settled and bool({CELLS, SPEED} & {*believed.against})
+        if why or split:
+            why = f"; {why}" * bool(why)
             raise SafetyStop(
                 "adhesion_disagree",
-                f"nothing has moved, and the sensors of the force disagree: {self._forces_text()}; look at "
-                "load_cells.zero_n, adhesion.rated_force_n and the seal, and run adhesion_check",
+                f"{state}, and the measurements of the force disagree: {self._forces_text()}{why}; look at "
+                "load_cells.zero_n, adhesion.pole_pairs, rated_force_n and the seal, and run adhesion_check",
             )
 
+    def _believed(self) -> Believed:
+        return Believed(math.nan) if self._limits is None else self._limits.believed(self._seen_n)
+
     def _forces_text(self) -> str:
-        return ", ".join(f"{force:.1f} N by {name}" for name, force in self._seen_n.items())
+        return in_words(self._seen_n, self._believed())
 
     def _wait(self, limits: AdhesionLimits, thrust_n: float) -> float:
         """Wait for a sufficient force; return its limit, N. Raises `SafetyStop` at the timeout."""
@@ -150,6 +169,7 @@ class Preload:
             text += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
             if limits.pushes_too_much(self._push_n):
                 text += " by their speed: a lost blade, a loose propeller, or a miscounted speed"
+            text += f": {self._push_trouble}" * bool(self._push_trouble)
         raise SafetyStop(
             "adhesion",
             f"the robot is not pressed on the wall: {text}; {limit_n:.1f} N are the least on this surface. "
@@ -165,19 +185,26 @@ class Preload:
         limits = self._limits
         if limits is None:
             return math.nan
+        assert self._measured is not None
         for name in MEASURES:
-            for sensor, _, force_n in measured_n(limits, self._samples(name)):
-                self._seen_n[sensor] = force_n
-        wanted = limits.has_fan + (limits.zero_n is not None)
-        return min(self._seen_n.values()) if len(self._seen_n) == wanted else math.nan
+            newest = {n: force_n for n, _, force_n in self._measured.take(self._samples(name))}
+            if SPEED in newest or VOLTAGE in newest:
+                self._seen_n = {n: f for n, f in self._seen_n.items() if n == CELLS}
+            self._seen_n.update(newest)
+        heard = bool(self._seen_n.keys() - {CELLS})
+        complete = heard >= limits.has_fan and (CELLS in self._seen_n) >= (limits.zero_n is not None)
+        return self._believed().force_n if complete else math.nan
 
     def _pushes(self, limits: AdhesionLimits, thrust_n: float) -> bool:
         """Whether the push of propellers that report their speed is near its set-point."""
         if self._propellers is None:
             return True
         for sample in self._samples("thrust"):
+            self._push_trouble = sample.trouble
             if sample.status is Status.OK:
                 self._push_n = self._propellers.force_at_n(sample.throttle)
+        if self._push_trouble:
+            return False
         return self._push_n >= _PUSHES * thrust_n and not limits.pushes_too_much(self._push_n)
 
     def _samples(self, name: str) -> Any:

@@ -21,6 +21,9 @@ class Held:
             measured: on a wall wheels do not detect a slide.
         why: the evidence; or what is missing, and what to do.
         opened: whether servos were opened; if not, nothing was done after which the robot must be held.
+        by: measurement of what holds the robot; empty where none counts.
+        confirmed: whether a second sensor confirms it.
+        rests_on: keys of the bench file that scale it.
         wanted: whether the servos were commanded to hold, and the bench was not asked to release (`release`,
             `exit.policy`); still True if another program switched torque off.
     """
@@ -30,6 +33,9 @@ class Held:
     why: str
     wanted: bool = True
     opened: bool = True
+    by: str = ""
+    confirmed: bool = False
+    rests_on: tuple[str, ...] = ()
 
     @property
     def lost(self) -> bool:
@@ -38,7 +44,8 @@ class Held:
 
     def to_json(self) -> dict[str, object]:
         """JSON values for `result.json` and the summary of the live loop."""
-        return {"state": self.state, "moved_m": self.moved_m, "why": self.why}
+        basis = {"by": self.by or None, "confirmed": self.confirmed, "rests_on": list(self.rests_on)}
+        return {"state": self.state, "moved_m": self.moved_m, "why": self.why, **basis}
 
     def __str__(self) -> str:
         return held_in_words(self.to_json())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -16,11 +16,16 @@ from hil.core.signals import AdhesionSample, Inputs, Status
 from hil.devices.adhesion.dronecan import DroneCan
 from hil.devices.adhesion.vesc_model import Vesc
 from hil.devices.doctor_watch import Watched, losses
+from hil.robot.motor_cross_checks import Reading, cross_check
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
 
 __all__ = ["KIND", "fan_state"]
+
+
+_STEADY_SHARE = 0.02
+_RATINGS = "correct adhesion.pole_pairs, rated_rpm, rpm_per_v; `hil run adhesion_check`"
 
 
 def look(watched: Watched) -> Iterator[Finding]:
@@ -48,8 +53,27 @@ def look(watched: Watched) -> Iterator[Finding]:
         f"below {config.hot_fet_c:g} degC",
         "let it cool down; switch on status message 4",
     )
-    force_n = config.force_at_n(newest.speed_rpm)
-    yield Finding("adhesion", "speed", "ok", f"{newest.speed_rpm:.0f} 1/min, good for {force_n:.1f} N")
+    yield _speed(samples, config)
+
+
+def _speed(samples: Sequence[AdhesionSample], config: AdhesionConfig) -> Finding:
+    """What the fan's speed gives, and what its other measurements say about it."""
+    ratings = config.ratings()
+    if beyond := next((s.trouble for s in reversed(samples) if s.status is Status.IMPLAUSIBLE), ""):
+        return Finding("adhesion", "speed", "failure", beyond, "a speed that is possible", _RATINGS)
+    usable = [s for s in samples if s.status is Status.OK]
+    if not usable:
+        return Finding("adhesion", "speed", "failure", "no usable report", "its speed", _RATINGS)
+    middle = [float(np.nanmedian([float(getattr(s, name)) for s in usable])) for name in Reading._fields]
+    speeds = [s.speed_rpm for s in usable]
+    steady = max(speeds) - min(speeds) < _STEADY_SHARE * config.rated_rpm
+    check = cross_check(ratings, Reading(*middle), steady=steady)
+    force_n = ratings.force_at_n(middle[0])
+    found = check.text or f"{middle[0]:.0f} 1/min, good for {force_n:.1f} N"
+    if check.state == "confirmed":
+        found += f"; {check.by} agree{'s' * (check.by == 'power')}, {100.0 * check.difference:+.0f} %"
+    level: Level = "failure" if check.state == "contradicted" else "ok"
+    return Finding("adhesion", "speed", level, found, "what duty, voltage and power say", _RATINGS)
 
 
 def _held(check: str, value: float, unit: str, right: bool, expected: str, remedy: str) -> Finding:

@@ -131,8 +131,9 @@ class DaemonInWorld(MotorCommander, Scheduled):
         return self._bus_cycle().status(self._world.now_ns)
 
     def trouble(self) -> str:
-        """The fault of the bus; empty for none."""
-        return self._bus_cycle().bus_error
+        """The fault of the bus, or a battery that sags; empty for none."""
+        cycle = self._bus_cycle()
+        return cycle.bus_error or cycle.control.trim.sag
 
     def close(self) -> None:
         """Do nothing: the fan goes on with its world."""

@@ -1,6 +1,7 @@
 """Base of the drivers of fans on CAN motor controllers: forces to commands, reports to samples.
 
-The speed for a force is converted to the controller's set-point, which the measured speed corrects slowly.
+The speed for a force is converted to the controller's set-point, which measurements that agree correct slowly
+(`ForceKeeper`). A report that cannot be true is marked, and its bound named.
 """
 
 from __future__ import annotations
@@ -8,108 +9,30 @@ from __future__ import annotations
 import contextlib
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import can
 
 from hil.config.adhesion import MotorConfig
-from hil.core.clock import Clock, nanoseconds
+from hil.core.clock import Clock
 from hil.core.errors import HilError, UsageError
 from hil.core.signals import AdhesionSample, Stamp, Status
 from hil.drivers.adhesion.can_motor import DaemonMotor
+from hil.drivers.adhesion.force_keeper import ForceKeeper
 from hil.fan_daemon.commander import MakeCommander
-from hil.fan_daemon.fan_control import SetPoint
 from hil.links.silence_limit import SilenceTimer
 from hil.links.stuck_values import StuckTest
+from hil.robot.motor_cross_checks import Reading, impossible
 
-_NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
-"""Battery voltage (V) that is assumed where the reported one is not between the other two."""
-_EVERY_NS = nanoseconds(0.2)
-_SETTLING_NS, _AFTER_RAMP_NS = nanoseconds(1.5), nanoseconds(0.8)
-"""Settling time of the fan after a new set-point, and after the end of the daemon's ramp towards it."""
-_ARRIVED = 0.002
-"""A ramp has ended when what is sent is within this share of the highest set-point."""
-_TOLERANCE, _GAIN, _MOST = 0.003, 0.5, 0.03
-_MOTOR_OVER_INPUT = 1.25
-_NEAR = 0.15
-_FASTEST = 3.0
-"""Multiple of the rated speed above which a report is implausible."""
 _VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
 """Ranges of battery voltage and transistor temperature; a value outside is damaged and not used."""
 _STUCK_S = 0.5
 _RUNNING_RPM = 1000.0
+_DUTY_STEP = 0.1
+"""Largest change between two reports of a duty that is used beside an impossible speed."""
+_IN_A_ROW = 3
+"""Number of impossible reports after which they are more than single damaged frames."""
 C = TypeVar("C", bound=MotorConfig)
-
-
-class SpeedTrim:
-    """Holds a speed by corrections of the set-point.
-
-    Args:
-        config: ratings; `command` is the quantity of the set-point.
-        speed_rpm: speed to hold.
-        input_v: battery voltage, NaN where unknown.
-        now: the fan's latest report.
-
-    Attributes:
-        point: the set-point for the controller now.
-    """
-
-    def __init__(
-        self, config: MotorConfig, speed_rpm: float, input_v: float, now: AdhesionSample | None
-    ) -> None:
-        self._config, self._wanted_rpm = config, speed_rpm
-        self._next_ns: int | None = None
-        self._arrived = False
-        self.point = self._first(input_v if _LEAST_V <= input_v <= _MOST_V else _NOMINAL_V)
-        running = now is not None and abs(now.speed_rpm / speed_rpm - 1.0) < _NEAR
-        if now is not None and running and self.point.quantity == "duty" and math.isfinite(now.duty):
-            duty = now.duty * speed_rpm / now.speed_rpm
-            self.point = SetPoint("duty", min(duty, config.daemon_spec()["highest"]["duty"]))
-
-    def _first(self, input_v: float) -> SetPoint:
-        """The first set-point, from the ratings."""
-        config, highest = self._config, self._config.daemon_spec()["highest"]
-        if config.command == "rpm":
-            return SetPoint("erpm", config.counts_per_turn * self._wanted_rpm)
-        if config.command == "current":
-            share = (self._wanted_rpm / config.rated_rpm) ** 2
-            return SetPoint("current_a", share * _MOTOR_OVER_INPUT * config.rated_input_a)
-        duty = self._wanted_rpm / (config.DROOP * config.rpm_per_v * input_v)
-        return SetPoint("duty", min(duty, highest["duty"]))
-
-    def better(self, sample: AdhesionSample, status: Callable[[], Mapping[str, Any]]) -> SetPoint | None:
-        """A corrected set-point, when the fan has settled and still turns too fast or too slowly; else None.
-
-        Args:
-            sample: its latest report.
-            status: gives the status of its daemon; a fan whose set-point is still being ramped is not
-                corrected.
-        """
-        t_ns = sample.stamp.t_ns
-        if self._next_ns is None:
-            self._next_ns = t_ns + _SETTLING_NS
-        if not self._arrived:
-            self._arrived = self._reached(status().get("sent"))
-            self._next_ns = max(self._next_ns, t_ns + _AFTER_RAMP_NS)
-        if t_ns < self._next_ns or sample.status is not Status.OK or self._config.command == "rpm":
-            return None
-        self._next_ns = t_ns + _EVERY_NS
-        error = 1.0 - sample.speed_rpm / self._wanted_rpm
-        if abs(error) < _TOLERANCE:
-            return None
-        highest = self._config.daemon_spec()["highest"][self.point.quantity]
-        square = 2.0 if self.point.quantity == "current_a" else 1.0
-        value = self.point.value * (1.0 + min(max(_GAIN * square * error, -_MOST), _MOST))
-        self.point = SetPoint(self.point.quantity, min(value, highest))
-        return self.point
-
-    def _reached(self, sent: Sequence[Any] | None) -> bool:
-        """Whether the daemon's ramp has come to the set-point."""
-        if sent is None or sent[0] != self.point.quantity:
-            return False
-        highest = self._config.daemon_spec()["highest"][self.point.quantity]
-        return bool(abs(sent[1] - self.point.value) <= _ARRIVED * highest)
 
 
 class Figures(NamedTuple):
@@ -137,7 +60,7 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
     noun = "the fan"
 
     def __init__(self, config: C, clock: Clock, make_commander: MakeCommander | None = None) -> None:
-        self._fastest_rpm = _FASTEST * config.rated_rpm
+        self._ratings = config.ratings()
         super().__init__(config, clock, make_commander)
 
     def _forget(self) -> None:
@@ -145,8 +68,8 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
         self._silence_timer = SilenceTimer(self._config.fail_after_s)
         self._silence_timer.begin(self._clock.now_ns())
         self._stuck = StuckTest(_STUCK_S)
-        self._trim: SpeedTrim | None = None
-        self._latest: AdhesionSample | None = None
+        self._keeper = ForceKeeper(self._config)
+        self._beyond, self._duty_before = 0, math.nan
 
     def read(self) -> tuple[AdhesionSample, ...]:
         """One sample for each report of speed.
@@ -160,12 +83,10 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
         if overdue_ns := self._silence_timer.overdue_ns(bool(samples), now_ns):
             raise self._silence("the fan's controller", overdue_ns, "it lets go of the motor")
         if samples:
-            self._latest = samples[-1]
             self._link.error = ""
-            if self._trim is not None:
-                point = self._trim.better(samples[-1], commander.status)
-                if point is not None:
-                    commander.set(point)
+            point = self._keeper.correct(samples[-1].stamp.t_ns, commander.status().get("sent"))
+            if point is not None:
+                commander.set(point)
         return tuple(samples)
 
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> AdhesionSample | None:
@@ -178,16 +99,26 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
 
     def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
         """A report as a sample; `raw` changes with every report while a fan runs, or the report is frozen."""
-        status, speed_rpm = Status.OK, abs(figures.speed_rpm)
-        if speed_rpm > self._fastest_rpm or abs(figures.duty) > 1.05:
+        if not _VOLTS[0] <= figures.input_v <= _VOLTS[1]:
+            figures = figures._replace(input_v=math.nan)
+        speed_rpm, duty, motor_a, input_a, input_v, _, _ = figures
+        now = Reading(speed_rpm, duty, input_v, motor_a, input_a)
+        status, beyond = Status.OK, impossible(self._ratings, now)
+        self._beyond = 0 if beyond is None else self._beyond + 1
+        if beyond is not None or abs(duty) > 1.05:
             status = Status.IMPLAUSIBLE
         elif self._stuck.stuck(raw, t_ns) and speed_rpm > _RUNNING_RPM:
             status = Status.FROZEN
+        if status is not Status.FROZEN:
+            self._keeper.follow(t_ns, now)
+        if beyond is not None and self._beyond >= _IN_A_ROW:
+            trouble = "; ".join(filter(None, (trouble, beyond.text)))
         self._sequence += 1
         if status is not Status.OK:
-            figures = figures._replace(speed_rpm=math.nan, duty=math.nan, motor_a=math.nan)
-        if not _VOLTS[0] <= figures.input_v <= _VOLTS[1]:
-            figures = figures._replace(input_v=math.nan)
+            figures = figures._replace(speed_rpm=math.nan)
+        as_before, self._duty_before = abs(duty - self._duty_before) <= _DUTY_STEP, duty
+        if status is Status.FROZEN or abs(duty) > 1.05 or (beyond is not None and not as_before):
+            figures = figures._replace(duty=math.nan, motor_a=math.nan)
         if not _CELSIUS[0] <= figures.fet_c <= _CELSIUS[1]:
             figures = figures._replace(fet_c=math.nan)
         stamp = Stamp(t_ns, now_ns, self._sequence)
@@ -199,6 +130,9 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
         Raises:
             UsageError: the force is out of range; nothing is sent.
         """
+        self._set(force_n)
+
+    def _set(self, force_n: float, *, press: bool = False) -> None:
         highest_n = self._config.highest_force_n
         if not (math.isfinite(force_n) and 0.0 < force_n <= highest_n):
             raise UsageError(
@@ -207,20 +141,18 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
                 remedy="`hil adhesion off` lets the fan come to rest",
             )
         commander = self._must_be_open()
-        trim = SpeedTrim(self._config, self._config.speed_for_rpm(force_n), self._input_v(), self._latest)
-        commander.set(trim.point)
-        self._trim = trim
+        commander.set(self._keeper.start(self._config.speed_for_rpm(force_n), press=press))
 
     def set_duty(self, duty: float) -> None:
         """Command a fixed duty, without speed corrections; raises `UsageError`."""
         point = self._duty(duty)
         self._must_be_open().set(point)
-        self._trim = None
+        self._keeper.release()
 
     def brace(self) -> None:
-        """Command the highest force that is allowed; never raises."""
+        """Command the highest force that is allowed, by every measurement; never raises."""
         with contextlib.suppress(HilError):
-            self.set_force_n(self._config.highest_force_n)
+            self._set(self._config.highest_force_n, press=True)
 
     @abstractmethod
     def _report(self, message: can.Message) -> Any:
@@ -229,7 +161,3 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
     @abstractmethod
     def _figures(self, report: Any, t_ns: int) -> Figures | None:
         """Values of a speed report, completed from other reports; None for another report."""
-
-    @abstractmethod
-    def _input_v(self) -> float:
-        """Last reported battery voltage, V; NaN before the first report."""

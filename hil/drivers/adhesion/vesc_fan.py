@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import cast
 
 import can
@@ -16,6 +16,7 @@ from hil.drivers.adhesion.vesc_identity import BusReplies, discover_controllers
 from hil.drivers.adhesion.vesc_settings import Answers
 from hil.fan_daemon.commander import MakeCommander, finding
 from hil.fan_daemon.spec import Spec
+from hil.links.steady_volts import SteadyVolts
 from hil.links.vesc import Packet, Status, Status4, Status5, address, decode
 
 _SLOW_REPORTS_NS = nanoseconds(1.5)
@@ -33,11 +34,12 @@ class _Slow:
     input_v: float = math.nan
     seen_4_ns: int = -_SLOW_REPORTS_NS
     seen_5_ns: int = -_SLOW_REPORTS_NS
+    _volts: SteadyVolts = field(default_factory=SteadyVolts)
 
     def take(self, report: Status4 | Status5, t_ns: int) -> None:
         """Store the values of a report."""
         if isinstance(report, Status5):
-            self.input_v, self.seen_5_ns = report.input_v, t_ns
+            self.input_v, self.seen_5_ns = self._volts.take(report.input_v), t_ns
         else:
             self.input_a, self.fet_c, self.motor_c = report.input_a, report.fet_c, report.motor_c
             self.seen_4_ns = t_ns
@@ -64,9 +66,6 @@ class VescFan(MotorFan[VescConfig]):
             "port": f"{self._link.port}, controller {self._config.controller_id}",
             "firmware": self._answers.firmware or "not reported",
         }
-
-    def _input_v(self) -> float:
-        return self._slow.input_v
 
     def _report(self, message: can.Message) -> Report | None:
         if message.arbitration_id not in self._reports or not message.is_extended_id:

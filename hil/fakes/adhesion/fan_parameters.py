@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, TypeVar
 
+from hil.config.adhesion import Force, MotorConfig
 from hil.config.values import Within
 from hil.fakes.initial_support import InitialSupport
 
 StatusMessage = Annotated[int, Within(1, 6, "a VESC has status messages 1 to 6")]
 Rate = Annotated[float, Within(0.0, 1000.0, "messages per second")]
+Poles = Annotated[int, Within(-50, 50, "pole pairs, not 0; below 0 the controller counts backwards")]
+Speed = Annotated[float, Within(1000.0, 200_000.0, "1/min")]
+Amps = Annotated[float, Within(0.5, 300.0, "A")]
+C = TypeVar("C", bound=MotorConfig)
 
 
 @dataclass(frozen=True)
-class AdhesionTruthOptions:
+class MotorTruthOptions:
     """Settings of the controller as VESC Tool has them, and physics; assumptions where no source is known.
 
     Attributes:
@@ -58,3 +64,45 @@ class AdhesionTruthOptions:
     ambient_c: float = 25.0
     heating_c_per_a2: Annotated[float, Within(0.0, 1.0, "K per A^2")] = 0.02
     highest_a: Annotated[float, Within(1.0, 500.0, "A")] = 100.0
+    RATINGS: ClassVar[Mapping[str, str]] = {}
+    """Field of the true value of a rating, by the rating's key in the bench file."""
+
+    def __post_init__(self) -> None:
+        if getattr(self, "pole_pairs", None) == 0:
+            raise ValueError("pole_pairs = 0: a motor has at least one")
+
+    def true_ratings(self, config: C) -> C:
+        """The motor with its true ratings in place of those of the bench file."""
+        true: dict[str, Any] = {key: getattr(self, field) for key, field in self.RATINGS.items()}
+        return config.model_copy(update={key: value for key, value in true.items() if value is not None})
+
+
+@dataclass(frozen=True)
+class FanTruthOptions(MotorTruthOptions):
+    """True ratings of the fan where they differ from `[adhesion]`; as there when left out.
+
+    Attributes:
+        rated_force_n, rated_rpm: true force at a speed.
+        rated_input_a: true battery current at that speed.
+        rpm_per_v: true speed of the motor per volt, unloaded.
+    """
+
+    rated_force_n: Force | None = None
+    rated_rpm: Speed | None = None
+    rated_input_a: Amps | None = None
+    rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V")] | None = None
+    RATINGS: ClassVar[Mapping[str, str]] = {
+        key: key for key in ("rated_force_n", "rated_rpm", "rated_input_a", "rpm_per_v")
+    }
+
+
+@dataclass(frozen=True)
+class AdhesionTruthOptions(FanTruthOptions):
+    """As for any fan, on a VESC.
+
+    Attributes:
+        pole_pairs: true number of the motor; below 0 for a controller that counts backwards.
+    """
+
+    pole_pairs: Poles | None = None
+    RATINGS: ClassVar[Mapping[str, str]] = {**FanTruthOptions.RATINGS, "pole_pairs": "pole_pairs"}

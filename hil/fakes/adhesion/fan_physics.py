@@ -12,7 +12,7 @@ from typing import Literal
 
 from hil.config.adhesion import MotorConfig
 from hil.core.clock import NS_PER_S
-from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
+from hil.fakes.adhesion.fan_parameters import MotorTruthOptions
 
 Mode = Literal["released", "duty", "current", "rpm", "brake"]
 
@@ -45,7 +45,7 @@ class Fan:
         strength: share of the motor's power that is left under a fault.
     """
 
-    def __init__(self, config: MotorConfig, options: AdhesionTruthOptions, gain: float) -> None:
+    def __init__(self, config: MotorConfig, options: MotorTruthOptions, gain: float) -> None:
         self._config, self._options, self._gain = config, options, gain
         self._t_ns = 0
         self.used_ah = self.used_wh = 0.0

@@ -7,13 +7,13 @@ that the fan has carried once falls when the fan stops.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import can
 
 from hil.config.adhesion import MotorConfig
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
+from hil.fakes.adhesion.fan_parameters import FanTruthOptions, MotorTruthOptions
 from hil.fakes.adhesion.fan_physics import Demand, Fan
 from hil.fakes.adhesion.forces_on_robot import Load
 from hil.fakes.body_interface import HoldingForces
@@ -49,14 +49,14 @@ class MotorNode(Scheduled):
     Args:
         world: plant, seed and faults; the node registers itself there.
         channel: the CAN bus.
-        config: address, and ratings of the fan.
-        options: settings and physics.
+        config: address, and ratings of the fan as the bench file has them.
+        options: settings, physics, and true ratings.
         name: device name of its faults.
         load: total force on the robot that this motor is a part of; a load for the fan alone by default.
         motor: index of this motor in `load`.
     """
 
-    Options = AdhesionTruthOptions
+    Options: ClassVar[type[MotorTruthOptions]] = FanTruthOptions
     supported_faults = FAN_FAULTS
     announces = True
 
@@ -71,14 +71,15 @@ class MotorNode(Scheduled):
         world: World,
         channel: CanChannel,
         config: MotorConfig,
-        options: AdhesionTruthOptions,
+        options: MotorTruthOptions,
         name: str = "adhesion",
         *,
         load: Load | None = None,
         motor: int = 0,
     ) -> None:
         self.name, self._world, self._channel = name, world, channel
-        self._config, self._options = config, options
+        self._config = config = options.true_ratings(config)
+        self._options = options
         known = world.plant.working_point
         point = HoldingForces(config.rated_force_n, 0.0) if known is None else known
         self._load = load or Load(point.adhesion_n, point.fan_gain, world.plant.set_adhesion)

@@ -7,12 +7,13 @@ switched on. Values out of range are clipped, never rejected.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import ClassVar
 
 import can
 
 from hil.config.adhesion import VescConfig
 from hil.fakes.adhesion import vesc_frames
-from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions
+from hil.fakes.adhesion.fan_parameters import AdhesionTruthOptions, MotorTruthOptions
 from hil.fakes.adhesion.fan_physics import HIGHEST_DUTY, Demand
 from hil.fakes.adhesion.forces_on_robot import Load
 from hil.fakes.adhesion.motor_controller import MotorNode
@@ -27,19 +28,21 @@ _SPEED_NOISE_RPM, _AMPS_NOISE_A = 15.0, 0.3
 class VescNode(MotorNode):
     """Emulated VESC; takes the arguments of `MotorNode`."""
 
+    Options: ClassVar[type[MotorTruthOptions]] = AdhesionTruthOptions
+
     def __init__(
         self,
         world: World,
         channel: CanChannel,
         config: VescConfig,
-        options: AdhesionTruthOptions,
+        options: MotorTruthOptions,
         name: str = "adhesion",
         *,
         load: Load | None = None,
         motor: int = 0,
     ) -> None:
         super().__init__(world, channel, config, options, name, load=load, motor=motor)
-        self._vesc = config
+        self._vesc = options.true_ratings(config)
         self._frozen: dict[int, bytes] = {}
 
     def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:

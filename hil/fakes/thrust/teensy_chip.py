@@ -69,7 +69,8 @@ class TeensyChip(SerialChip):
     def __init__(
         self, world: World, config: TeensyConfig, options: ThrustTruthOptions, name: str = "thrust"
     ) -> None:
-        self.name, self._world, self._config, self._options = name, world, config, options
+        self.name, self._world, self._options = name, world, options
+        self._config = options.true_ratings(config)
         known = world.plant.working_point
         self._point = HoldingForces(0.0, 0.0) if known is None else known
         self._faults = DeviceFaults(world.faults, name, world.rng(f"{name}.faults"))

@@ -1,108 +1,44 @@
-"""Compares the measured fan force with the needed one, and its two measurements with each other.
+"""Compares the measured fan force with the needed one, and its measurements with each other.
 
-The force is measured by the load cells, minus their zeros, and by the fan's speed; the smaller one counts.
-The two are compared with each other and with the battery power. The robot stops while there is still a margin
-for stopping: at a limit above the needed force, and earlier if the force is falling. Propellers that turn
-faster than commanded push less than their speed suggests: that stops the robot, too.
+The force is measured by the load cells, minus their zeros, and by the fan's controller: by the speed, by duty
+and voltage, by the power. The force that counts is the one on which two agree, else the smallest
+(`hil.robot.believed_force`). The robot stops while there is still a margin for stopping: at a limit above the
+needed force, and earlier if the force is falling. Propellers that turn faster than commanded push less than
+their speed suggests: that stops the robot, too.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.interfaces import ReportStop
-from hil.core.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status, ThrustSample
+from hil.core.signals import WHEELS, AdhesionSample, Event, Inputs, Status
+from hil.loop.checks.adhesion_limits import AdhesionLimits, FanForces
 from hil.loop.checks.force_trend import ForceTrend
 from hil.loop.cycle_data import Check, Cycle, go_on
-from hil.robot.statics import Statics
+from hil.robot.believed_force import CELLS, Believed, apart
+from hil.robot.motor_cross_checks import POWER, SPEED, VOLTAGE
 
 _FALLING_N_S = -3.0
 _AHEAD_S = 0.5
 """A force that will be below its limit within this time (s) stops the robot: wheels take 0.15 s to stop."""
-_DISAGREE_NS, DISAGREE_N, DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
-_POWER_OF_SPEED = 3.0
+_DISAGREE_NS = nanoseconds(0.25)
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
 _WEAK_PUSH = 0.85
 """Share of the commanded push below which the message of a stop mentions the propellers."""
-_EXCESS_SHARE, _LEAST_EXCESS = 0.15, 0.02
-"""Tolerated excess of the propellers' push: as a share of the commanded push, at least of full push."""
 _OK = Status.OK
-LETTING_GO = ("adhesion", "utilisation", "thrust_disagree")
+_WHOSE = "the fan's"
+_NO_DIGITS = str.maketrans("", "", "0123456789.-")
+_LETTING_GO = ("adhesion", "utilisation", "thrust_disagree")
 """Reasons to stop for which a higher force helps."""
+_MAY_SLIDE = ("sensors_disagree", "sliding", "tracking", "heading")
+"""Reasons to stop of a robot that may be sliding already: a hanging one is pressed harder."""
 
 
-@dataclass(frozen=True)
-class AdhesionLimits:
-    """Limits of the adhesion check of one bench.
-
-    Attributes:
-        statics: nominal statics of robot and surface.
-        reserve: smallest share by which the measured force exceeds the needed one.
-        utilisation: largest share of its friction that a wheel may use.
-        nominal_thrust_n, full_thrust_n: push of the propellers where no throttle is reported, and full push.
-        wanted_n: set-point of the fan at rest; its excess over the needed force is the whole margin.
-        rated_n, rated_rpm, rated_w: rated force, speed and battery power of the fan; NaN without a fan.
-        low_input_v, hot_fet_c: limits of the fan's battery voltage and controller temperature.
-        zero_n: sum of the load cells' zeros; None without cells.
-        reports_thrust: whether the propellers' controllers report their speed.
-        stale_s: silence after which fan, cells or reporting propellers are no longer trusted.
-    """
-
-    statics: Statics
-    reserve: float = 0.25
-    utilisation: float = 0.8
-    nominal_thrust_n: float = 0.0
-    full_thrust_n: float = 0.0
-    wanted_n: float = math.nan
-    rated_n: float = math.nan
-    rated_rpm: float = math.nan
-    rated_w: float = math.nan
-    low_input_v: float = 0.0
-    hot_fet_c: float = math.inf
-    zero_n: float | None = None
-    reports_thrust: bool = False
-    stale_s: float = 0.25
-
-    @property
-    def has_fan(self) -> bool:
-        """Whether a fan reports its speed."""
-        return math.isfinite(self.rated_rpm)
-
-    def limit_n(self, thrust_n: float, heading_rad: float) -> float:
-        """Force below which no wheel may move, N."""
-        needed_n = (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
-        return max(needed_n, self.statics.force_for_n(self.utilisation, thrust_n, heading_rad))
-
-    def cells_n(self, sample: LoadCellSample) -> float:
-        """Force by the load cells minus their zeros, N; NaN if a cell cannot be used."""
-        first_n, second_n = sample.force_n.tolist()
-        return float(first_n + second_n) - (self.zero_n or 0.0)
-
-    def speed_n(self, sample: AdhesionSample) -> float:
-        """Force by the fan's speed, N."""
-        return self.rated_n * (sample.speed_rpm / self.rated_rpm) ** 2
-
-    def push_n(self, sample: ThrustSample) -> float:
-        """Push by the propellers' speed, N; NaN if they do not report it."""
-        if sample.status is not _OK:
-            return math.nan
-        return self.full_thrust_n * sample.throttle**2
-
-    def pushes_too_much(self, push_n: float) -> bool:
-        """Whether the reported push exceeds the commanded one so far that it cannot be real.
-
-        A propeller turns faster than commanded if it has no load, or its speed is miscounted.
-        """
-        wanted_n = self.nominal_thrust_n
-        too_much_n = wanted_n + max(_EXCESS_SHARE * wanted_n, _LEAST_EXCESS * self.full_thrust_n)
-        return self.reports_thrust and push_n > too_much_n
-
-    def power_n(self, sample: AdhesionSample) -> float:
-        """Force by the battery power, N: the power is proportional to the cube of the speed."""
-        watts = sample.input_a * sample.input_v
-        return self.rated_n * math.pow(max(watts / self.rated_w, 0.0), 2.0 / _POWER_OF_SPEED)
+def presses_harder(reason: str, hold: AdhesionWatch | None) -> bool:
+    """Whether fan and propellers are raised after a stop for this reason; `hold`: check of the force."""
+    return reason in _LETTING_GO or (reason in _MAY_SLIDE and hold is not None and hold.can_fall)
 
 
 class AdhesionWatch(Check):
@@ -113,12 +49,13 @@ class AdhesionWatch(Check):
         can_fall: whether the robot hangs on a wall without a tether; else this check never stops it.
 
     Attributes:
+        limits, can_fall: as given.
         heading_rad: last estimated heading of the body.
         figures: for the robot's state: force, needed force, margin, and friction utilisation of each wheel.
     """
 
     def __init__(self, limits: AdhesionLimits, *, can_fall: bool) -> None:
-        self.limits, self._can_fall = limits, can_fall
+        self.limits, self.can_fall = limits, can_fall
         self._has_fan, self._has_cells = limits.has_fan, limits.zero_n is not None
         self._stale_ns = nanoseconds(limits.stale_s)
         self.reset()
@@ -139,7 +76,10 @@ class AdhesionWatch(Check):
         self._cells_trend, self._speed_trend = ForceTrend(), ForceTrend()
         self._apart_ns: int | None = None
         self._excess_ns: int | None = None
-        self._trouble = ""
+        self._trouble = self._push_trouble = ""
+        self._by_fan = FanForces(self.limits.fan)
+        self._believed = Believed(math.nan)
+        self._split = False
         self._fan: AdhesionSample | None = None
 
     def on_samples(self, cycle: Cycle) -> None:
@@ -156,25 +96,24 @@ class AdhesionWatch(Check):
         if self._began_ns is None:
             self._began_ns = inputs.t_ns
         self._take(inputs, events)
-        fresh = self._fresh(inputs.t_ns, stop if self._can_fall else go_on)
+        fresh = self._fresh(inputs.t_ns, stop if self.can_fall else go_on)
         if not (inputs.adhesion if self._has_fan else inputs.load_cells):
             return
-        force_n = self._smaller()
+        self._believed = self.limits.believed(self._forces())
+        force_n = self._believed.force_n
         self._figure(force_n)
-        if not self._can_fall or not math.isfinite(force_n) or not fresh:
+        if not self.can_fall or not math.isfinite(force_n) or not fresh:
             return
         self._judge_force(force_n, stop)
-        self._compare(inputs.t_ns, stop)
+        self._compare(inputs.t_ns, events, stop)
         self._judge_push(stop)
         if self._fan is not None:
             self._judge_controller(self._fan, force_n, stop)
 
-    def _smaller(self) -> float:
-        """The smallest measured force, N; NaN without a measurement."""
-        cells_n, speed_n = self._cells_n, self._speed_n
-        if not math.isfinite(cells_n):
-            return speed_n if math.isfinite(speed_n) else math.nan
-        return min(cells_n, speed_n) if math.isfinite(speed_n) else cells_n
+    def _forces(self) -> dict[str, float]:
+        """The newest force by each measurement, N."""
+        cells = {CELLS: self._cells_n} if math.isfinite(self._cells_n) else {}
+        return {**self._by_fan.forces_n, **cells}
 
     def _take(self, inputs: Inputs, events: list[Event]) -> None:
         """Update the newest force by each sensor."""
@@ -183,23 +122,32 @@ class AdhesionWatch(Check):
                 self._cells_n, self._cells_ns = self.limits.cells_n(sample), sample.stamp.t_ns
                 self._cells_trend.follow(self._cells_ns, self._cells_n)
         for fan in inputs.adhesion:
-            if fan.trouble != self._trouble:
-                self._trouble = fan.trouble
-                message = fan.trouble or "the fan is kept running as it should be again"
-                events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", message))
-            if fan.status is _OK and self._has_fan:
-                self._fan, self._fan_ns = fan, fan.stamp.t_ns
-                self._speed_n = self.limits.speed_n(fan)
-                self._speed_trend.follow(self._fan_ns, self._speed_n)
+            self._take_fan(fan, inputs.t_ns, events)
         for push in inputs.thrust:
             push_n = self.limits.push_n(push)
-            if math.isfinite(push_n):
+            self._push_trouble = push.trouble
+            if math.isfinite(push_n) or push.trouble:
                 self._take_push(push_n, push.stamp.t_ns)
 
+    def _take_fan(self, fan: AdhesionSample, t_ns: int, events: list[Event]) -> None:
+        """Update the forces by the fan's controller, and what its measurements say about each other.
+
+        A report beyond a physical bound counts by duty and voltage alone.
+        """
+        if _without_digits(fan.trouble) != _without_digits(self._trouble):
+            self._trouble = fan.trouble
+            message = fan.trouble or "the fan is kept running as it should be again"
+            events.append(Event(t_ns, "warning" if fan.trouble else "info", "adhesion", message))
+        if not self._by_fan.take(fan) or fan.status is not _OK:
+            return
+        self._fan, self._fan_ns = fan, fan.stamp.t_ns
+        self._speed_n = self.limits.speed_n(fan)
+        self._speed_trend.follow(self._fan_ns, self._speed_n)
+
     def _take_push(self, push_n: float, t_ns: int) -> None:
-        """Update the push of the propellers; for an implausibly high one the commanded push is used."""
+        """Update the push of the propellers; for one that cannot be real the commanded push is used."""
         self._reported_push_n, self._thrust_ns = push_n, t_ns
-        if not self.limits.pushes_too_much(push_n):
+        if not (self.limits.pushes_too_much(push_n) or self._push_trouble):
             self._thrust_n, self._excess_ns = push_n, None
             return
         self._thrust_n = self.limits.nominal_thrust_n
@@ -222,6 +170,9 @@ class AdhesionWatch(Check):
 
     def _silent(self, name: str, noun: str, last_ns: int | None, t_ns: int, stop: ReportStop) -> bool:
         """Stop because no sensor measures the force; False, as nothing fresh is known."""
+        if name == "adhesion" and self._by_fan.impossible:
+            stop("adhesion_disagree", f"{self._by_fan.impossible}; `hil doctor` at rest")
+            return False
         silent_s = (t_ns - max(last_ns or 0, self._began_ns or 0)) / NS_PER_S
         stop(
             f"stale_{name}",
@@ -264,10 +215,10 @@ class AdhesionWatch(Check):
 
     def _judge_force(self, force_n: float, stop: ReportStop) -> None:
         """Check the present and predicted force, and the friction utilisation of the wheels."""
-        limit_n = (1.0 + self.limits.reserve) * self._needed_n
+        limit_n = self.limits.asked_share * self._needed_n
         measure, rate_n_s = "", 0.0
-        for name, trend in (("load cells", self._cells_trend), ("fan's speed", self._speed_trend)):
-            if (slope := trend.slope_n_s()) < rate_n_s:
+        for name, trend in ((CELLS, self._cells_trend), (SPEED, self._speed_trend)):
+            if name not in self._believed.against and (slope := trend.slope_n_s()) < rate_n_s:
                 measure, rate_n_s = name, slope
         falling = rate_n_s < _FALLING_N_S
         soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
@@ -276,7 +227,7 @@ class AdhesionWatch(Check):
         message = f"{force_n:.1f} N of adhesion{self._by_whom()}, {self._left(force_n)}"
         if falling:
             left_s = max((force_n - self._needed_n) / -rate_n_s, 0.0)
-            message += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
+            message += f", falling by {-rate_n_s:.1f} N/s by {measure}: {left_s:.1f} s are left "
             message += "until the robot slides"
         if force_n < limit_n:
             least = f"{limit_n:.1f} N are the least on this surface ({self._needed_n:.1f} needed)"
@@ -301,12 +252,11 @@ class AdhesionWatch(Check):
         )
 
     def _by_whom(self) -> str:
-        """Text on the sensor of the smaller force, if the other contradicts it; else empty."""
-        if not apart(self._cells_n, self._speed_n):
+        """Text on the measurement of the force that counts, if another contradicts it; else empty."""
+        if not self._believed.against:
             return ""
-        reported = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
-        (_, low), (other_n, high) = sorted(reported)
-        return f" by {low} ({other_n:.1f} N by {high}: one of them is wrong, or air leaks under the robot)"
+        others = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in self._believed.against.items())
+        return f" by {self._believed.by} ({others}: one of them is wrong, or air leaks under the robot)"
 
     def _weak_push(self) -> str:
         """Text if the reported push is too small: less push needs more adhesion; else empty."""
@@ -324,36 +274,60 @@ class AdhesionWatch(Check):
         share = f" ({100.0 * max(margin_n, 0.0) / whole_n:.0f} %)" if whole_n > 0.0 else ""
         return f"{margin_n:.1f} N of margin left{share}"
 
-    def _compare(self, t_ns: int, stop: ReportStop) -> None:
-        """Compare the load cells with the fan's speed; its power shows which of them is wrong."""
-        if not apart(self._cells_n, self._speed_n):
+    def _compare(self, t_ns: int, events: list[Event], stop: ReportStop) -> None:
+        """Compare load cells, speed, duty and voltage; where they contradict each other the others decide."""
+        contradiction = self._by_fan.contradiction
+        split = bool(contradiction)
+        cells_known = math.isfinite(self._cells_n)
+        agree = cells_known and not apart(self._cells_n, self._speed_n)
+        if agree and split and not self._split:
+            message = f"load cells and fan's speed agree, but {contradiction}"
+            events.append(Event(t_ns, "warning", "adhesion", message))
+        self._split = split
+        if not apart(self._cells_n, self._speed_n) and (agree or not split):
             self._apart_ns = None
             return
         if self._apart_ns is None:
             self._apart_ns = t_ns
         if t_ns - self._apart_ns < _DISAGREE_NS or self._fan is None:
             return
-        power_n = self.limits.power_n(self._fan)
+        message = f"{self._cells_against_fan()}; " if cells_known else ""
+        if split:
+            message += f"{contradiction}; "
+        stop("adhesion_disagree", f"{message}`hil run adhesion_check` at rest")
+
+    def _cells_against_fan(self) -> str:
+        """Text on the forces by load cells and fan, and which of them is wrong."""
         message = f"the load cells say {self._cells_n:.1f} N, the fan's speed {self._speed_n:.1f} N"
-        if not math.isfinite(power_n):
-            message += "; its current is not reported"
-        elif abs(power_n - self._speed_n) < abs(power_n - self._cells_n):
-            message += f", its power {power_n:.1f} N: the cells are wrong, or air leaks under the robot"
-        else:
-            message += f", its power {power_n:.1f} N: the reported speed is wrong"
-        stop("adhesion_disagree", f"{message}; `hil run adhesion_check` at rest")
+        known = [
+            (name, self._by_fan.forces_n[name]) for name in (VOLTAGE, POWER) if name in self._by_fan.forces_n
+        ]
+        if not known:
+            return f"{message}; neither its voltage nor its current is reported"
+        for name, force_n in known:
+            message += f", {name.replace(_WHOSE, 'its', 1)} {force_n:.1f} N"
+        for_speed = [abs(n - self._speed_n) < abs(n - self._cells_n) for _, n in known]
+        if all(for_speed):
+            return f"{message}: the cells are wrong, or air leaks under the robot"
+        if not any(for_speed):
+            return f"{message}: the reported speed is wrong"
+        return f"{message}: they do not agree either"
 
     def _judge_push(self, stop: ReportStop) -> None:
         """Stop if propellers have reported too much push for a while: their real push is unknown."""
         if self._excess_ns is None or (self._thrust_ns or 0) - self._excess_ns < _DISAGREE_NS:
             return
-        stop(
-            "thrust_disagree",
-            f"the propellers report {self._reported_push_n:.1f} N of push, more than the "
-            f"{self.limits.nominal_thrust_n:.1f} N that they are to give: they turn faster than asked, and "
-            "what they really give is not known; look for a lost blade or a loose propeller, then at the "
-            "motors' speed sensing, and at what else commands their controllers",
-        )
+        message = f"the propellers' reports contradict each other: {self._push_trouble}"
+        if self.limits.pushes_too_much(self._reported_push_n):
+            message = (
+                f"the propellers report {self._reported_push_n:.1f} N of push, more than the "
+                f"{self.limits.nominal_thrust_n:.1f} N that they are to give: they turn faster than asked, "
+                "and what they really give is not known; look for a lost blade or a loose propeller, then at "
+                "the motors' speed sensing, and at what else commands their controllers"
+                + f"; {self._push_trouble}"
+                * bool(self._push_trouble)
+            )
+        stop("thrust_disagree", message)
 
     def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: ReportStop) -> None:
         """Check battery voltage and controller temperature of the fan."""
@@ -372,6 +346,6 @@ class AdhesionWatch(Check):
             )
 
 
-def apart(cells_n: float, speed_n: float) -> bool:
-    """Whether two measures of one force contradict each other; False where one is NaN."""
-    return abs(cells_n - speed_n) > max(DISAGREE_N, DISAGREE_SHARE * abs(speed_n))
+def _without_digits(text: str) -> str:
+    """A text without its numbers: the same trouble with other figures is no new event."""
+    return text.translate(_NO_DIGITS)

@@ -18,6 +18,7 @@ from hil.fan_daemon.commander import MakeCommander, finding
 from hil.fan_daemon.spec import Spec
 from hil.links.can_bus import remedy_of_silence
 from hil.links.dronecan.frames import EscStatus, StatusReader
+from hil.links.steady_volts import SteadyVolts
 
 _WAIT_S = 0.01
 _ASK_NS = nanoseconds(0.1)
@@ -39,7 +40,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
     def _forget(self) -> None:
         super()._forget()
         self._reader = StatusReader()
-        self._volts = math.nan
+        self._volts = SteadyVolts()
 
     def _greet(self, spec: Spec) -> dict[str, str]:
         config = self._config
@@ -136,19 +137,20 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         return report if ours and message.is_extended_id else None
 
     def _figures(self, report: EscStatus, t_ns: int) -> Figures:
-        self._volts = report.voltage_v
         return Figures(
             speed_rpm=float(report.rpm),
-            duty=math.nan,
+            duty=self._sent_duty(),
             motor_a=math.nan,
             input_a=report.current_a,
-            input_v=report.voltage_v,
+            input_v=self._volts.take(report.voltage_v),
             fet_c=report.temperature_k - _KELVIN,
             motor_c=math.nan,
         )
 
-    def _input_v(self) -> float:
-        return self._volts
+    def _sent_duty(self) -> float:
+        """The duty that the daemon sends, as this controller reports none; NaN if none is sent."""
+        sent = None if self._commander is None else self._commander.status().get("sent")
+        return float(sent[1]) if sent is not None and sent[0] == "duty" else math.nan
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Findings on the identity, the settings and the daemon of the fan."""

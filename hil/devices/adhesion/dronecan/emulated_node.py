@@ -14,7 +14,7 @@ import can
 from hil.core.clock import NS_PER_S
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.dronecan_library import Receiver, frames_of, library
-from hil.fakes.adhesion import AdhesionTruthOptions
+from hil.fakes.adhesion import FanTruthOptions, MotorTruthOptions
 from hil.fakes.adhesion.fan_parameters import StatusMessage
 from hil.fakes.adhesion.fan_physics import HIGHEST_DUTY, Demand
 from hil.fakes.adhesion.motor_controller import MotorNode
@@ -31,7 +31,7 @@ _NAME = "org.vesc.emulated"
 
 
 @dataclass(frozen=True)
-class DroneCanTruthOptions(AdhesionTruthOptions):
+class DroneCanTruthOptions(FanTruthOptions):
     """As for a VESC; `rate_1_hz` is the rate of `esc.Status`, `rate_2_hz` the rate of `NodeStatus`."""
 
     rate_1_hz: float = 50.0
@@ -50,7 +50,7 @@ class DroneCanNode(MotorNode):
         world: World,
         channel: CanChannel,
         config: DroneCanConfig,
-        options: AdhesionTruthOptions,
+        options: MotorTruthOptions,
         name: str = "adhesion",
     ) -> None:
         self._node_id, self._index = config.node_id, config.esc_index

@@ -13,6 +13,7 @@ from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.config.values import PolePairs, Within
+from hil.robot.motor_cross_checks import MotorRatings
 
 MOST_CONTROLLERS = 4
 
@@ -26,6 +27,7 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
         pole_pairs: of the motors; electrical over mechanical speed.
         full_rpm: speed of the propellers at which all together give `full_force_n`; the force goes with the
             square of the speed.
+        rpm_per_v: of the motors: speed per volt, unloaded.
     """
 
     model: Literal["vesc"] = "vesc"
@@ -33,6 +35,7 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
     own_id: VescId = 253
     pole_pairs: PolePairs = 7
     full_rpm: Annotated[float, Within(1000.0, 100_000.0, "1/min of a propeller, not electrical")] = 9000.0
+    rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 900.0
 
     @field_validator("controller_ids")
     @classmethod
@@ -44,6 +47,24 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
     def speed_for_rpm(self, force_n: float) -> float:
         """Speed at which all propellers together give a force."""
         return self.full_rpm * math.sqrt(force_n / self.full_force_n)
+
+    def ratings(self) -> MotorRatings:
+        """The numbers that turn the propellers' measurements into forces."""
+        return MotorRatings(
+            "thrust",
+            self.full_force_n,
+            self.full_rpm,
+            self.full_force_n,
+            rpm_per_v=self.rpm_per_v,
+            pole_pairs=self.pole_pairs,
+            force_key="full_force_n",
+            speed_key="full_rpm",
+        )
+
+    @property
+    def push_keys(self) -> tuple[str, ...]:
+        """As for any propellers, with the keys that scale their speed."""
+        return self.ratings().keys
 
     def motors(self) -> tuple[VescConfig, ...]:
         """The controllers one by one, as if each had all of the force."""
@@ -60,6 +81,7 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
                 open_timeout_s=self.open_timeout_s,
                 rated_force_n=self.full_force_n,
                 rated_rpm=self.full_rpm,
+                rpm_per_v=self.rpm_per_v,
             )
             for controller_id in self.controller_ids
         )

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
+from hil.config.thrust import Thrust
 from hil.devices.thrust.vesc.config import VescThrustConfig
-from hil.fakes.adhesion import AdhesionTruthOptions
+from hil.fakes.adhesion import MotorTruthOptions
+from hil.fakes.adhesion.fan_parameters import Poles, Speed
 from hil.fakes.adhesion.forces_on_robot import Load
 from hil.fakes.adhesion.motor_controller import FAN_FAULTS
 from hil.fakes.adhesion.vesc_node import VescNode
@@ -18,18 +22,30 @@ PROPELLER_FAULTS: Supported = {kind: opts for kind, opts in FAN_FAULTS.items() i
 
 
 @dataclass(frozen=True)
-class VescThrustTruthOptions(AdhesionTruthOptions):
-    """As for the fan's VESC.
+class VescThrustTruthOptions(MotorTruthOptions):
+    """As for the fan's VESC; ratings that are left out are those of `[thrust]`.
 
     Attributes:
         rated_input_a: battery current of each controller at full speed.
-        rpm_per_v: of the motors, unloaded.
+        rpm_per_v: true speed of the motors per volt, unloaded.
+        pole_pairs: true number of the motors; below 0 for controllers that count backwards.
+        full_force_n, full_rpm: true force of all propellers together, and the speed at which they give it.
     """
 
     spin_up_s: float = 0.1
     spin_down_s: float = 0.3
     rated_input_a: float = 10.0
-    rpm_per_v: float = 900.0
+    rpm_per_v: float | None = None
+    pole_pairs: Poles | None = None
+    full_force_n: Thrust | None = None
+    full_rpm: Speed | None = None
+    RATINGS: ClassVar[Mapping[str, str]] = {
+        "rated_input_a": "rated_input_a",
+        "rpm_per_v": "rpm_per_v",
+        "pole_pairs": "pole_pairs",
+        "rated_force_n": "full_force_n",
+        "rated_rpm": "full_rpm",
+    }
 
 
 class PropellerNode(VescNode):
@@ -46,8 +62,7 @@ def propellers(
     point = world.plant.working_point or HoldingForces(0.0, 0.0)
     count = len(config.controller_ids)
     load = Load(point.thrust_n, point.propeller_gain, world.plant.set_thrust, motors=count)
-    ratings = {"rated_input_a": options.rated_input_a, "rpm_per_v": options.rpm_per_v}
-    motors = [motor.model_copy(update=ratings) for motor in config.motors()]
+    motors = config.motors()
     return tuple(
         PropellerNode(world, channel, motor, options, "thrust", load=load, motor=number)
         for number, motor in enumerate(motors)
