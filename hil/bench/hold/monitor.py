@@ -55,7 +55,7 @@ _CALM_M_S2 = 2.0
 """Largest difference of the median specific force from gravity; data sheets allow 0.8."""
 _SLOW_NS = nanoseconds(1.5)
 """Time limit for an IMU that has begun to deliver: on a busy computer its samples come late."""
-_STOPPED_NS = nanoseconds(0.5)
+_STOPPED_NS = nanoseconds(0.3)
 """By then the wheels rest after a stop, and what still moves slides."""
 _RISES_NS = nanoseconds(2.0)
 """Time that a fan takes to a higher force: meanwhile a force that falls seems to rise."""
