@@ -69,6 +69,23 @@ def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(py
     assert "not_held" not in found["test_kept"]
 
 
+SEEN = """
+import pytest
+
+@pytest.mark.fault("imu", "off", at=1.2)
+def test_seen(bench):
+    bench.observe(1.5, feedback="odometry")
+    assert bench.clock is None
+"""
+
+
+def test_what_the_bench_saw_is_with_the_test(pytester):
+    result, found = run(pytester, SEEN)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*what the bench saw*", "1.* s, warning, imu: stale for 0.* s"])
+    assert "warning, imu: stale for" in found["test_seen"]["event"]
+
+
 def item(warned, *, real=(), fails=False, blind=None):
     """A test as `end` needs it."""
 
