@@ -264,7 +264,8 @@ class Inputs:
 
     The fields after `health` and `servos` are the kinds of devices that this package knows, by their names
     (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.core.registry`),
-    and those of further devices of a kind, by the device's name.
+    and those of further devices of a kind, by the device's name. `slow_ns` holds the time that devices took
+    to be read, where that was more than 10 ms.
     """
 
     cycle: int
@@ -279,6 +280,7 @@ class Inputs:
     thrust: tuple[ThrustSample, ...] = ()
     load_cells: tuple[LoadCellSample, ...] = ()
     added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    slow_ns: Mapping[str, int] = field(default_factory=dict)
 
     def of(self, kind: str) -> tuple[Any, ...]:
         """Samples of a kind by its name; empty where it delivered nothing.
@@ -303,7 +305,7 @@ def worst(sample: Any) -> Status:
     return next(state for state in status if state is not _OK)
 
 
-NO_KINDS = ("cycle", "t_ns", "health", "added")
+NO_KINDS = ("cycle", "t_ns", "health", "added", "slow_ns")
 """Fields of `Inputs` that are not device kinds; reserved as names of kinds."""
 _KNOWN = frozenset(KINDS)
 

@@ -7,10 +7,11 @@ wire faults. A transport (in-process pyserial URL or PTY) carries the bytes to a
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import ClassVar, NamedTuple, Protocol
 
 from hil.fakes.world import NEVER_NS
-from hil.faults.fault import BOTH, Supported
+from hil.faults.fault import BOTH, Option, Supported
 
 
 class Reply(NamedTuple):
@@ -33,6 +34,7 @@ class SerialChip(Protocol):
         supported_faults: faults inside the chip; the line declares them together with its own, and leaves
             those to the chip that both have.
         ways: directions in which the line carries bytes, seen from the bench.
+        fault_ranges: ranges of its options of faults by `KIND:NAME`, where narrower than usual.
         uart_baud: baud rate of its UART: bytes sent or received at another rate become noise. None for a
             device without UART, as on USB, or if the chip itself checks the rate.
         polls_alone: `next_poll_ns` becomes earlier only in calls of `receive` and `poll`.
@@ -40,6 +42,7 @@ class SerialChip(Protocol):
 
     name: str
     supported_faults: Supported
+    fault_ranges: ClassVar[Mapping[str, Option]] = {}
     uart_baud: int | None = None
     polls_alone: bool = False
     ways: str = BOTH

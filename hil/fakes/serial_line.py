@@ -111,7 +111,7 @@ class SerialLine(Scheduled):
         self._polls = getattr(type(chip), "next_poll_ns", None) is not SerialChip.next_poll_ns
         self.announces = getattr(chip, "polls_alone", False)
         faults = declared(chip.supported_faults, _PORT_FAULTS, STREAM_FAULTS, chip.ways)
-        world.faults.declare(chip.name, faults)
+        world.faults.declare(chip.name, faults, chip.fault_ranges)
         world.add(self)
 
     def open(self) -> SerialLine:

@@ -113,8 +113,8 @@ class World:
                 raise
 
     def _broken(self, place: int, error: Exception) -> None:
-        """Disable a part that has raised, except for a `HilError`: a stop may be raised anywhere."""
-        if not isinstance(error, HilError):
+        """Disable a part that has raised, except for a stop, which may be raised anywhere."""
+        if not isinstance(error, HilError) or isinstance(error, UsageError):
             self._parts[place].broken = True
             self._places.pop(id(self._parts[place]), None)
             self._polled = [one for one in self._polled if one[0] != place]

@@ -123,7 +123,7 @@ OPTIONS = {
         "how fast the reported force leaves the true one, N/s; `factor` then does nothing", -1000, 1000
     ),
     "slow:factor": Option("of the output period", 1, 1000),
-    "wrong:factor": Option("of what is sent", -10, 10),
+    "wrong:factor": Option("of what is sent; of the force of propellers on a Teensy, from 0", -10, 10),
     "adhesion_loss:factor": Option("of the fan's force", 0, 1),
     "gap_s": Option("pause between two pieces, s", 0, 1),
     "flags": Option("status bits of the encoder chip to set, instead of random words", 0, 31, True),
@@ -170,13 +170,16 @@ class Fault:
     options: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for key, value in self.options.items():
-            option = option_of(self.kind, key)
-            if not option.takes(value):
-                raise UsageError(
-                    f"fault {describe(self)}: {key} is {value:g}",
-                    expected=f"{option.expected} ({option.meaning})",
-                )
+        for key in self.options:
+            self.check(key, option_of(self.kind, key))
+
+    def check(self, key: str, option: Option) -> None:
+        """Raise `UsageError` if the value of an option is out of range."""
+        if not option.takes(self.options[key]):
+            raise UsageError(
+                f"fault {describe(self)}: {key} is {self.options[key]:g}",
+                expected=f"{option.expected} ({option.meaning})",
+            )
 
     def active(self, t_ns: int) -> bool:
         """Return whether the fault is active at `t_ns`."""

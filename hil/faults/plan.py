@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.core.errors import FaultNotSupportedError, UsageError, did_you_mean
 from hil.core.registry import which_device
-from hil.faults.fault import Fault, Supported, check_kind
+from hil.faults.fault import Fault, Option, Supported, check_kind
 
 
 class FaultPlan:
@@ -30,6 +30,7 @@ class FaultPlan:
         self._views: list[DeviceFaultView] = []
         self._keep(list(faults))
         self._supported: dict[str, Supported] = {}
+        self._ranges: dict[str, Mapping[str, Option]] = {}
 
     def of(self, *names: str) -> DeviceFaultView:
         """Return a view of the faults of a device that has these names; it follows changes of the plan."""
@@ -38,8 +39,13 @@ class FaultPlan:
         view.follow(fault.device for fault in self._faults)
         return view
 
-    def declare(self, device: str, supported: Supported) -> None:
+    def declare(self, device: str, supported: Supported, ranges: Mapping[str, Option] | None = None) -> None:
         """Register a device name and the faults that the device can produce, for `check` and `add`.
+
+        Args:
+            device: its name.
+            supported: faults and their options.
+            ranges: options by `KIND:NAME` whose range is narrower than that of other devices.
 
         Raises:
             UsageError: a kind that is not in `VOCABULARY`, or options that are not identifiers.
@@ -53,7 +59,7 @@ class FaultPlan:
                     f"device {device} declares the fault {kind!r} with the options {options!r}",
                     expected="a tuple of names, such as () or ('probability',)",
                 )
-        self._supported[device] = dict(supported)
+        self._supported[device], self._ranges[device] = dict(supported), dict(ranges or {})
 
     def add(self, fault: Fault) -> None:
         """Add a fault while the world runs.
@@ -107,6 +113,9 @@ class FaultPlan:
                     expected="one of " + ", ".join(options) if options else "no option",
                     remedy=did_you_mean(key, options),
                 )
+            option = self._ranges[fault.device].get(f"{fault.kind}:{key}")
+            if option is not None:
+                fault.check(key, option)
 
     def has(self, kind: str) -> bool:
         """Return whether a fault of this kind is planned on any device at any time."""

@@ -12,6 +12,7 @@ from hil.core.interfaces import Actuators, Device, Holding, Sensor
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, Inputs
 
+_SLOW_NS = 10_000_000
 _NOTHING: tuple[Any, ...] = ()
 _UNHEARD = {kind: _NOTHING for kind in KINDS if kind != "servos"}
 """Empty samples of each kind of sensor that this package knows, in the order of `Inputs`."""
@@ -59,17 +60,25 @@ class DeviceSet:
 
     def read(self, cycle: int) -> Inputs:
         """Read every device once, the others while the servos answer; `t_ns` is the time of the start."""
-        t_ns = self.clock.now_ns()
+        now_ns = self.clock.now_ns
+        t_ns = before_ns = now_ns()
         servos, read, health = self.servos, _NOTHING, _NOTHING
         if servos is not None:
             servos.ask()
-        known = _UNHEARD.copy()
+        known, slow_ns = _UNHEARD.copy(), {}
         added: dict[str, tuple[Any, ...]] = {}
         for kind, sensor in self.sensors.items():
             (known if kind in _UNHEARD else added)[kind] = sensor.read()
+            done_ns = now_ns()
+            if done_ns - before_ns > _SLOW_NS:
+                slow_ns[kind] = done_ns - before_ns
+            before_ns = done_ns
         if servos is not None:
             read, health = servos.read(), servos.read_health()
-        values: tuple[Any, ...] = (cycle, t_ns, read, health, *known.values(), added)
+            done_ns = now_ns()
+            if done_ns - before_ns > _SLOW_NS:
+                slow_ns["servos"] = done_ns - before_ns
+        values: tuple[Any, ...] = (cycle, t_ns, read, health, *known.values(), added, slow_ns)
         return Inputs(*values)
 
     def brace(self) -> None:

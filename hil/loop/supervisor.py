@@ -56,7 +56,7 @@ class Supervisor:
         self.left_out = Exclusion(own.estimated, on_wall=limits.on_wall)
         samples = SensorStatus(stale_s, own.gap_s, own.brought)
         self._pace, self.observers = LoopPause(), ObserverCheck()
-        servos = ServoCheck(stale_s.pop("servos", None), self._pace, limits.servo_ids)
+        self._servos = servos = ServoCheck(stale_s.pop("servos", None), self._pace, limits.servo_ids)
         self._agreement = (
             None
             if own.motion is None
@@ -150,6 +150,8 @@ class Supervisor:
     def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
         """Limit a setpoint; all wheel rates are scaled equally, which keeps the centre of rotation.
 
+        The wheels wait (rate 0) while servos have not answered for a while, before that becomes a stop.
+
         Raises:
             SafetyStop: `not_finite` or `steering_limit`.
         """
@@ -169,5 +171,7 @@ class Supervisor:
         if max(rates) > fastest or min(rates) < -fastest:
             slowed = setpoint.wheel_rate_rad_s * (fastest / max(map(abs, rates)))
             setpoint, rates = WheelSetpoint(slowed, setpoint.steering_rad), slowed.tolist()
+        if self._servos.waits:
+            setpoint, rates = WheelSetpoint(np.zeros(4), setpoint.steering_rad), [0.0] * 4
         self.last.wheel_rate_rad_s = rates
         return setpoint

@@ -54,6 +54,25 @@ def test_a_silent_chip_reset_is_noticed_and_repaired(imu_bench, fault):
     assert bench.chip.opr_mode == 8
 
 
+@pytest.mark.parametrize("prefetch", [False, True])
+@pytest.mark.parametrize(
+    "fault", ["imu:reset@1", "imu:corrupt@1+2,probability=0.5", "imu:drop@1+2,probability=0.5"]
+)
+def test_no_repair_holds_up_a_control_cycle(imu_bench, fault, prefetch):
+    """A repair over a damaged wire once held up the loop for a quarter of a second, again and again."""
+    bench = imu_bench(fault, config={"prefetch": prefetch})
+    bench.driver.open()
+    took_ns, usable = [], []
+    for _ in range(400):
+        began_ns = bench.clock.now_ns()
+        usable += [s.status is Status.OK for s in bench.driver.read()]
+        took_ns.append(bench.clock.now_ns() - began_ns)
+        bench.clock.sleep_until_ns(max(bench.clock.now_ns(), began_ns + 10_000_000))
+    assert max(took_ns) < 20_000_000
+    assert all(usable[-20:])
+    assert bench.written.count(MODE_WRITE) == (2 if "reset" in fault else 1)
+
+
 def test_a_reset_that_is_not_heard_is_found_in_the_data(imu_bench):
     """The chip reboots between two reads: it answers at once, with zeros."""
     bench = imu_bench(config={"check_period_s": 100})

@@ -18,7 +18,7 @@ from hil.core.signals import ImuSample, Stamp, Status
 from hil.drivers.imu import bno055_burst
 from hil.drivers.imu.bno055_calibration import ImuCalibration
 from hil.drivers.imu.bno055_protocol import ExchangeError, Link
-from hil.drivers.imu.bno055_setup import MODES, OPR_MODE, REMEDY, Chip
+from hil.drivers.imu.bno055_setup import MODES, OPR_MODE, REMEDY, Chip, Repair
 from hil.links.silence_limit import SilenceTimer, used_while_closed
 from hil.links.stuck_values import StuckTest
 
@@ -30,7 +30,7 @@ _WITH_STATE = OPR_MODE + 1 - bno055_burst.START
 _SYSTEM_ERROR = 0x01
 
 _OUTAGE_AFTER = 3
-_RECHECK_NS = 50_000_000
+_RECHECK_NS, _LONG_CHECK_NS = 50_000_000, 8_000_000
 _OK = Status.OK
 _WITHOUT_VALUES = (Status.RESET, Status.STARTING)
 
@@ -105,6 +105,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._checked_ns = self._next_poll_ns = now_ns
         self._failures = self._system_error = 0
         self._was_reset = self._suspicious = False
+        self._repair: Repair | None = None
 
     def reopen(self) -> None:
         """As `open`, after an outage: sample numbers go on, and the first sample has status RESET."""
@@ -139,10 +140,13 @@ class Bno055Imu(Sensor[ImuSample]):
         now_ns = self._clock.now_ns()
         if now_ns < self._next_poll_ns or link.under_way(self._patience_ns):
             return ()
+        if self._repair is not None:
+            return self._repaired(self._repair, now_ns)
         try:
             if self._suspicious or (now_ns >= self._next_check_ns and not self._prefetch):
                 self._check(link, now_ns)
-                now_ns = self._clock.now_ns()
+                if self._repair is not None or self._clock.now_ns() - now_ns > _LONG_CHECK_NS:
+                    return ()
             budget_ns = 0 if self._failures else self._retry_ns
             data = link.read(bno055_burst.START, self._length, now_ns + budget_ns)
             if self._length == _WITH_STATE:
@@ -177,20 +181,38 @@ class Bno055Imu(Sensor[ImuSample]):
         return self._link
 
     def _check(self, link: Link, now_ns: int) -> None:
-        """Read and evaluate mode and system status."""
-        state = link.read(_SYS_STATUS, 5, now_ns + (0 if self._failures else self._retry_ns))
-        self._judge_state(state, now_ns)
+        """Read mode and system status; begin to set up again a chip that says twice that it has another mode.
+
+        Its reply has no checksum: one bit that flips on the way is no lost mode.
+        """
+        modes = []
+        for _ in range(2):
+            state = link.read(_SYS_STATUS, 5, now_ns + (0 if self._failures else self._retry_ns))
+            self._judge_state(state, now_ns)
+            if not self._suspicious:
+                return
+            modes.append(state[4] & 0x0F)
+        if modes[0] != modes[1]:
+            return
+        _LOG.warning("%s at %s has lost its mode: set up again", self.name, self._config.port)
+        self._repair = self._chip.repair()
+
+    def _repaired(self, repair: Repair, now_ns: int) -> tuple[ImuSample, ...]:
+        """Go on with setting up the chip: a few writes in a cycle, none of which is waited for."""
+        try:
+            if repair.go_on(now_ns):
+                self._repair, self._suspicious, self._was_reset = None, False, True
+        except ExchangeError as error:
+            self._repair = None
+            return (self._failed(error),)
+        self._judge(Status.RESET, now_ns)
+        return ()
 
     def _judge_state(self, state: bytes, now_ns: int) -> None:
-        """Evaluate registers 0x39 to 0x3D; set the chip up again when it has lost its mode."""
-        self._suspicious = False
+        """Evaluate registers 0x39 to 0x3D; a chip in another mode is to be checked."""
         self._checked_ns, self._next_check_ns = now_ns, now_ns + self._check_ns
         self._system_error = state[1] if state[0] == _SYSTEM_ERROR else 0
-        if state[4] & 0x0F != self._mode:
-            _LOG.warning("%s at %s has lost its mode: set up again", self.name, self._config.port)
-            self._suspicious = True
-            self._chip.repair(now_ns)
-            self._suspicious, self._was_reset = False, True
+        self._suspicious = state[4] & 0x0F != self._mode
 
     def _failed(self, error: ExchangeError) -> ImuSample:
         """A sample without values, with the status of the failure; raises once that has lasted too long."""

@@ -81,11 +81,11 @@ class Link:
         close_quietly(self._port)
 
     def read(self, register: int, length: int, deadline_ns: int) -> bytes:
-        """Read registers, repeating until `deadline_ns`; raises `ExchangeError`."""
+        """Read registers, repeating what can end by `deadline_ns`; raises `ExchangeError`."""
         return self._repeat(bytes((0xAA, READ, register, length)), length, deadline_ns)
 
     def write(self, register: int, data: bytes, deadline_ns: int) -> None:
-        """Write registers, repeating until `deadline_ns`; raises `ExchangeError`."""
+        """Write registers, repeating what can end by `deadline_ns`; raises `ExchangeError`."""
         self._repeat(bytes((0xAA, WRITE, register, len(data))) + data, 0, deadline_ns)
 
     def ask_ahead(self, register: int, length: int) -> None:
@@ -121,7 +121,7 @@ class Link:
                 return self._exchange(request, length)
             except ExchangeError:
                 again_ns = self._clock.now_ns() + self._gap_ns
-                if not left or again_ns >= deadline_ns:
+                if not left or again_ns + nanoseconds(self._port.timeout) > deadline_ns:
                     raise
             self._clock.sleep_until_ns(again_ns)
 

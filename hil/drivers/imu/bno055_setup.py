@@ -1,10 +1,12 @@
 """Identity, set-up and learnt offsets of a BNO055, outside its measuring cycle.
 
 All of it but the identification happens in CONFIG mode, which the chip is brought into and out of here.
-Failures raise `DeviceError`, those of `repair` `ExchangeError`.
+Failures raise `DeviceError`, those of a `Repair` `ExchangeError`.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 from hil.config.imu import Bno055Config
 from hil.core.clock import Clock, nanoseconds
@@ -25,6 +27,51 @@ _TO_CONFIG_S, _TO_FUSION_S = 0.020, 0.008
 _IDENTIFY_PERIOD_S = 0.05
 _SETUP_BUDGET_NS = 250_000_000
 _CRYSTAL = 0x80
+_WRITES = 3
+"""Most writes of a repair in one control cycle."""
+
+
+class Step(NamedTuple):
+    """One write of a set-up, and the pause that the chip needs after it."""
+
+    register: int
+    data: bytes
+    pause_s: float = 0.0
+
+
+_LEAVE_FUSION = (Step(_PAGE, b"\x00"), Step(OPR_MODE, b"\x00", _TO_CONFIG_S))
+
+
+class Repair:
+    """A set-up that is done step by step, so that it holds up no control cycle.
+
+    Args:
+        link: to the chip.
+        steps: the writes.
+        deadline_ns: time after which a failed step raises.
+    """
+
+    def __init__(self, link: Link, steps: list[Step], deadline_ns: int) -> None:
+        self._link, self._steps, self._deadline_ns, self._due_ns = link, steps, deadline_ns, 0
+
+    def go_on(self, now_ns: int) -> bool:
+        """Make the writes that are due; return whether all is done.
+
+        Raises:
+            ExchangeError: a write has failed too often.
+        """
+        for register, data, pause_s in self._steps[:_WRITES]:
+            if now_ns < self._due_ns:
+                return False
+            try:
+                self._link.write(register, data, now_ns)
+            except ExchangeError:
+                if now_ns >= self._deadline_ns:
+                    raise
+                return False
+            del self._steps[0]
+            self._due_ns = now_ns + nanoseconds(pause_s)
+        return not self._steps and now_ns >= self._due_ns
 
 
 class Chip:
@@ -94,42 +141,47 @@ class Chip:
         except ExchangeError as error:
             raise self._failure(error, "the BNO055 cannot be set up") from None
 
-    def repair(self, now_ns: int) -> None:
-        """Set up again a chip that has lost its mode; raises `ExchangeError`."""
-        self._set_up(now_ns + _SETUP_BUDGET_NS)
+    def repair(self) -> Repair:
+        """Begin to set up again a chip that has lost its mode, one write at a time."""
+        return Repair(self._link, self._steps(), self._clock.now_ns() + _SETUP_BUDGET_NS)
 
     def _set_up(self, deadline_ns: int) -> None:
-        """CONFIG mode, units, axes, offsets, then the fusion mode."""
-        link = self._link
-        self._leave_fusion(deadline_ns)
-        link.write(_POWER, b"\x00", deadline_ns)
-        link.write(_UNIT_SEL, b"\x00", deadline_ns)
-        if self._config.external_crystal:
-            link.write(_TRIGGER, bytes((_CRYSTAL,)), deadline_ns)
-        link.write(_AXIS_MAP, bytes((self._config.axis_map, self._config.axis_sign)), deadline_ns)
-        if self._calibration is not None:
-            link.write(_CALIBRATION, self._calibration.to_bytes(), deadline_ns)
-        self._enter_fusion(deadline_ns)
+        for register, data, pause_s in self._steps():
+            self._link.write(register, data, deadline_ns)
+            self._wait(pause_s)
+
+    def _steps(self) -> list[Step]:
+        """Writes of a set-up: CONFIG mode, units, axes, offsets, then the fusion mode."""
+        crystal = [Step(_TRIGGER, bytes((_CRYSTAL,)))] if self._config.external_crystal else []
+        learnt = self._calibration
+        offsets = [] if learnt is None else [Step(_CALIBRATION, learnt.to_bytes())]
+        return [
+            *_LEAVE_FUSION,
+            Step(_POWER, b"\x00"),
+            Step(_UNIT_SEL, b"\x00"),
+            *crystal,
+            Step(_AXIS_MAP, bytes((self._config.axis_map, self._config.axis_sign))),
+            *offsets,
+            self._enter_fusion(),
+        ]
 
     def read_offsets(self) -> ImuCalibration:
         """Offsets that the chip has learnt; raises `DeviceError`."""
         deadline_ns = self._clock.now_ns() + _SETUP_BUDGET_NS
         try:
-            self._leave_fusion(deadline_ns)
+            for register, data, pause_s in _LEAVE_FUSION:
+                self._link.write(register, data, deadline_ns)
+                self._wait(pause_s)
             found = ImuCalibration.from_bytes(self._link.read(_CALIBRATION, CALIBRATION_SIZE, deadline_ns))
-            self._enter_fusion(deadline_ns)
+            register, data, pause_s = self._enter_fusion()
+            self._link.write(register, data, deadline_ns)
+            self._wait(pause_s)
         except ExchangeError as error:
             raise self._failure(error, "the calibration cannot be read") from None
         return found
 
-    def _leave_fusion(self, deadline_ns: int) -> None:
-        self._link.write(_PAGE, b"\x00", deadline_ns)
-        self._link.write(OPR_MODE, b"\x00", deadline_ns)
-        self._wait(_TO_CONFIG_S)
-
-    def _enter_fusion(self, deadline_ns: int) -> None:
-        self._link.write(OPR_MODE, bytes((MODES[self._config.fusion_mode],)), deadline_ns)
-        self._wait(_TO_FUSION_S)
+    def _enter_fusion(self) -> Step:
+        return Step(OPR_MODE, bytes((MODES[self._config.fusion_mode],)), _TO_FUSION_S)
 
     def _wait(self, duration_s: float) -> None:
         self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(duration_s))

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from typing import ClassVar
 
 from hil.config.thrust import TeensyConfig
 from hil.core.clock import NS_PER_S
@@ -18,7 +20,7 @@ from hil.fakes.initial_support import InitialSupport, Tether
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.world import World
-from hil.faults.fault import OUT, Supported
+from hil.faults.fault import OUT, Option, Supported
 from hil.faults.plan import DeviceFaults
 
 THRUST_FAULTS: Supported = {
@@ -58,6 +60,9 @@ class TeensyChip(SerialChip):
 
     Options = ThrustTruthOptions
     supported_faults = THRUST_FAULTS
+    fault_ranges: ClassVar[Mapping[str, Option]] = {
+        "wrong:factor": Option("of the propellers' force; none pulls", 0, 10)
+    }
     polls_alone = True
     ways = OUT
 

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from hil.core.clock import NS_PER_S
 from hil.core.interfaces import ReportStop
+from hil.core.signals import Event
 from hil.loop.cycle_data import Check, Cycle
 
 HELD_UP_NS = 500_000_000
+_HOLDS_UP_NS = 20_000_000
+"""Time of one device's read that is reported."""
 _PAUSE_NS, _PAUSE_CYCLES, _FRESH_NS = 60_000_000, 3, 1_000_000_000
 """Pauses mentioned in a stop: least duration (ns) and cycles, and longest time since their end (ns)."""
 
@@ -33,14 +36,25 @@ class LoopPause(Check):
         """Clear the state of the run."""
         self._last_ns: int | None = None
         self._cycle_ns = self._ended_ns = self._lasted_ns = 0
+        self._reported_ns: dict[str, int] = {}
 
     def ended_at(self, t_ns: int) -> int:
         """Length (ns) of the pause that ended with the cycle at `t_ns`; 0 without one."""
         return self._lasted_ns if t_ns == self._ended_ns else 0
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Check the time of the cycle."""
+        """Check the time of the cycle, and report devices that hold up the loop."""
         self.judge(cycle.inputs.t_ns, cycle.stop)
+        for device, took_ns in cycle.inputs.slow_ns.items():
+            self._report(device, took_ns, cycle)
+
+    def _report(self, device: str, took_ns: int, cycle: Cycle) -> None:
+        """Report a device that took too long to be read, at most once a second."""
+        t_ns = cycle.inputs.t_ns
+        if took_ns > _HOLDS_UP_NS and t_ns - self._reported_ns.get(device, -_FRESH_NS) >= _FRESH_NS:
+            self._reported_ns[device] = t_ns
+            said = f"has held up the control loop for {1e-6 * took_ns:.0f} ms"
+            cycle.events.append(Event(t_ns, "warning", device, said))
 
     def judge(self, t_ns: int, stop: ReportStop) -> None:
         """Check the time of a cycle.

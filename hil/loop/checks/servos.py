@@ -18,6 +18,8 @@ from hil.loop.cycle_data import Check, Cycle
 
 _BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
 _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05
+_WAITS_SHARE = 0.4
+"""Share of the longest time without a complete read after which the wheels wait."""
 _REPORT_NS = 50_000_000
 """Time from a step of an encoder to the stop, ns."""
 _ALL_OK = (Status.OK,) * 8
@@ -41,6 +43,8 @@ class ServoCheck(Check):
 
     Attributes:
         asked_rad_s: (4,) last commanded wheel rates.
+        waits: no complete read for so long that the wheels wait for the next one. Where commands still
+            arrive, and no answers, no watchdog of the servos trips: the robot would go on until the stop.
     """
 
     def __init__(self, stale_s: float | None, pause: LoopPause, ids: tuple[int, ...] = ()) -> None:
@@ -55,7 +59,7 @@ class ServoCheck(Check):
         self._asked_since_ns: list[int | None] = [None] * 4
         self._asked_at_rad = [0.0] * 4
         self._complete_ns: int | None = None
-        self._excused = False
+        self._excused = self.waits = False
         self._missed: dict[int, tuple[int, Status]] = {}
         self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
         self._outside = [math.nan] * 4
@@ -116,6 +120,7 @@ class ServoCheck(Check):
                 if status is not Status.OK:
                     self._missed[j] = (self._missed.get(j, (0, status))[0] + 1, status)
         silent_ns = inputs.t_ns - self._complete_ns
+        self.waits = silent_ns > _WAITS_SHARE * self._stale_ns
         if silent_ns > self._stale_ns:
             stop("stale_servos", f"no complete servo read for {silent_ns / NS_PER_S:.3f} s: {self._failed()}")
 
