@@ -7,7 +7,7 @@ import signal
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import supported_faults
+from hil.bench import check_faults, supported_faults
 from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.core.errors import Aborted, ConfigError, HilError, UsageError
@@ -17,14 +17,17 @@ from hil.report.history.index import find_results
 from hil.robot.trajectories import line
 
 SUPPORTED = {
-    "plant": ("adhesion_loss",),
-    "servos": ("off", "jump"),
-    "servo.drive_FL": ("off",),
-    "servo.drive_BL": ("off",),
-    "servo.1": ("off",),
-    "encoder.FL": ("stuck",),
-    "encoder.BR": ("stuck",),
-    "imu": ("wrong",),
+    device: dict.fromkeys(faults, ())
+    for device, faults in {
+        "plant": ("adhesion_loss",),
+        "servos": ("off", "jump"),
+        "servo.drive_FL": ("off",),
+        "servo.drive_BL": ("off",),
+        "servo.1": ("off",),
+        "encoder.FL": ("stuck",),
+        "encoder.BR": ("stuck",),
+        "imu": ("wrong",),
+    }.items()
 }
 
 
@@ -50,6 +53,24 @@ def test_every_fault_of_the_shipped_bench_has_its_cells():
     supported = supported_faults(load_bench("emulated"))
     devices = {c.device for c in cells_of(supported, seeds=(0,), plants=("own",))}
     assert devices >= {*load_bench("emulated").devices(), "servo.steer_FL", "plant"}
+
+
+def test_faults_are_tried_at_strengths_of_both_signs_that_their_devices_take():
+    bench = load_bench("emulated")
+    found = cells_of(supported_faults(bench), seeds=(0,), plants=("own",))
+    check_faults(bench, [spec for cell in found for spec in cell.specs])
+    assert len(found) == len({cell.name for cell in found})
+    for device, fault in (("imu", "wrong"), ("tracker", "jump"), ("adhesion", "jump"), ("servos", "wrong")):
+        numbers = [
+            float(c.strength.split("=")[1])
+            for c in found
+            if (c.device, c.fault) == (device, fault) and c.strength
+        ]
+        assert min(numbers) < 0 < max(numbers)
+        assert max(numbers) > 10 * min(map(abs, numbers))
+    ways = {c.strength for c in found if (c.device, c.fault) == ("servos", "silent")}
+    assert ways == {"", "direction=out", "direction=both"}
+    assert ("thrust", "duplicate") not in {(c.device, c.fault) for c in found}
 
 
 def test_only_names_devices_faults_and_moments():

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hil.core.errors import UsageError, did_you_mean
+from hil.faults.fault import Supported
+from hil.procedure.faults.strengths import DEFAULT, strengths_of
 
 DURATION_S = 2.4
 """Duration of the climb, s."""
@@ -24,13 +26,19 @@ MOMENTS: Mapping[str, str] = {
 """Start time of the fault at each moment; for one second, also its duration."""
 PLANTS = ("own", "mujoco")
 QUICK = (
-    ("servos", "brownout", "second"),
-    ("servo.steer_FL", "jump", "motion"),
-    ("tracker", "wrong", "motion"),
-    ("plant", "adhesion_loss", "motion"),
-    ("adhesion", "bus_off", "open"),
+    ("servos", "brownout", "second", DEFAULT),
+    ("servos", "silent", "second", DEFAULT),
+    ("servos", "drop", "motion", "probability=0.2"),
+    ("servo.steer_FL", "jump", "motion", DEFAULT),
+    ("tracker", "wrong", "motion", DEFAULT),
+    ("imu", "corrupt", "motion", "probability=0.9"),
+    ("plant", "adhesion_loss", "motion", DEFAULT),
+    ("adhesion", "bus_off", "open", DEFAULT),
 )
-"""One cell for each known way to lose the hold of a robot or to mislead its estimate."""
+"""One cell for each known way to lose the hold of a robot or to mislead its estimate, a mild one (`drop`) and
+a strong one (`corrupt`)."""
+OTHERS_AT = "motion"
+"""Moment of the strengths of a fault other than the first."""
 _OF_EIGHT = re.compile(r"servo\.(?:\d+|drive_[^F].|steer_[^F].|\w+_FR)|encoder\.(?:BL|BR|FR)")
 """Devices that are represented by another device of the same kind."""
 _MOST_FAULTS = 4
@@ -46,6 +54,7 @@ class Cell:
         seed: seed of the emulated world.
         plant: physics model.
         specs: fault specs in the format of `hil run --fault`.
+        strength: options of the single fault, as `OPTION=NUMBER,...`; empty for its defaults.
     """
 
     device: str
@@ -54,15 +63,22 @@ class Cell:
     seed: int
     plant: str
     specs: tuple[str, ...]
+    strength: str = DEFAULT
+
+    @property
+    def what(self) -> str:
+        """Fault with its strength."""
+        return ",".join(filter(None, (self.fault, self.strength)))
 
     @property
     def name(self) -> str:
         """Name of the cell in progress reports and failures."""
-        return f"{self.device}:{self.fault} {self.moment} seed {self.seed} {self.plant}"
+        return f"{self.device}:{self.what} {self.moment} seed {self.seed} {self.plant}"
 
 
-def _cell(device: str, fault: str, moment: str, seed: int, plant: str) -> Cell:
-    return Cell(device, fault, moment, seed, plant, (f"{device}:{fault}{MOMENTS[moment]}",))
+def _cell(device: str, fault: str, moment: str, strength: str, seed: int, plant: str) -> Cell:
+    spec = ",".join(filter(None, (f"{device}:{fault}{MOMENTS[moment]}", strength)))
+    return Cell(device, fault, moment, seed, plant, (spec,), strength)
 
 
 def is_tested_itself(device: str) -> bool:
@@ -71,7 +87,7 @@ def is_tested_itself(device: str) -> bool:
 
 
 def cells_of(
-    supported: Mapping[str, Iterable[str]],
+    supported: Mapping[str, Supported],
     *,
     seeds: Sequence[int],
     plants: Sequence[str],
@@ -80,11 +96,11 @@ def cells_of(
 ) -> tuple[Cell, ...]:
     """Return a cell for every fault of every device, at every moment, in every world.
 
-    One servo and one encoder of each kind represent the eight servos and four encoders, unless `only` names
-    another one.
+    Further strengths of a fault (`strengths_of`) have a cell in motion. One servo and one encoder of each
+    kind represent the eight servos and four encoders, unless `only` names another one.
 
     Args:
-        supported: kinds of faults by device.
+        supported: kinds of faults and their options, by device.
         seeds: seeds of the worlds.
         plants: physics models.
         moments: keys of `MOMENTS`.
@@ -99,10 +115,13 @@ def cells_of(
         if only
         else [(d, fault, moment) for d, fault in pairs if is_tested_itself(d) for moment in moments]
     )
-    return tuple(
-        _cell(device, fault, moment, seed, plant)
-        for plant, seed, (device, fault, moment) in itertools.product(plants, seeds, wanted)
-    )
+    given = [
+        (device, fault, moment, strength)
+        for device, fault, moment in wanted
+        for number, strength in enumerate(strengths_of(device, fault, supported[device][fault]))
+        if number == 0 or moment == OTHERS_AT
+    ]
+    return tuple(_cell(*one, seed, plant) for plant, seed, one in itertools.product(plants, seeds, given))
 
 
 def _wanted(
@@ -131,12 +150,12 @@ def quick_cells(seeds: Sequence[int], plants: Sequence[str]) -> tuple[Cell, ...]
 
 
 def random_cells(
-    supported: Mapping[str, Iterable[str]], *, count: int, seeds: Sequence[int], plants: Sequence[str]
+    supported: Mapping[str, Supported], *, count: int, seeds: Sequence[int], plants: Sequence[str]
 ) -> tuple[Cell, ...]:
-    """Return cells with one to four faults at random moments, reproducible from the arguments.
+    """Return cells with one to four faults at random moments and strengths, reproducible from the arguments.
 
     Args:
-        supported: kinds of faults by device.
+        supported: kinds of faults and their options, by device.
         count: how many runs.
         seeds: seeds of the worlds, used in turn; the first also seeds the random choice.
         plants: physics models, used in turn.
@@ -151,7 +170,9 @@ def random_cells(
         specs = []
         for device, fault in drawn:
             lasts = f"+{rng.uniform(0.05, 1.5):.2f}" if rng.random() < 0.6 else ""
-            specs.append(f"{device}:{fault}@{rng.uniform(0.0, BEGUN_S + DURATION_S):.2f}{lasts}")
+            spec = f"{device}:{fault}@{rng.uniform(0.0, BEGUN_S + DURATION_S):.2f}{lasts}"
+            strengths = strengths_of(device, fault, supported[device][fault]) or (DEFAULT,)
+            specs.append(",".join(filter(None, (spec, strengths[int(rng.integers(len(strengths)))]))))
         cells.append(
             Cell(
                 "+".join(d for d, _ in drawn),

@@ -37,10 +37,15 @@ def quiet_rows(verdicts: Sequence[CellVerdict]) -> list[dict[str, Any]]:
     cells = [v.cell for v in verdicts if not v.reported and not v.why and len(v.cell.specs) == 1]
     found: dict[tuple[str, str], list[str]] = {}
     for cell in cells:
-        moments = found.setdefault((cell.device, cell.fault), [])
+        moments = found.setdefault((cell.device, cell.what), [])
         moments += [cell.moment] if cell.moment not in moments else []
     return [
-        {"device": device, "fault": fault, "moments": moments, "why": why_quiet(device, fault, moments)}
+        {
+            "device": device,
+            "fault": fault,
+            "moments": moments,
+            "why": why_quiet(device, fault.partition(",")[0], moments),
+        }
         for (device, fault), moments in found.items()
     ]
 
@@ -104,8 +109,8 @@ def _class(one: FaultClass, verdicts: Sequence[CellVerdict]) -> dict[str, Any] |
 def _plant(plant: str, verdicts: Sequence[CellVerdict]) -> dict[str, Any]:
     moments = [m for m in (*MOMENTS, "random") if any(v.cell.moment == m for v in verdicts)]
     rows = []
-    for device, fault in dict.fromkeys((v.cell.device, v.cell.fault) for v in verdicts):
-        mine = [v for v in verdicts if (v.cell.device, v.cell.fault) == (device, fault)]
+    for device, fault in dict.fromkeys((v.cell.device, v.cell.what) for v in verdicts):
+        mine = [v for v in verdicts if (v.cell.device, v.cell.what) == (device, fault)]
         marks = [_mark([v for v in mine if v.cell.moment == m]) for m in moments]
         rows.append(
             {
