@@ -24,6 +24,7 @@ from hil.loop.checks.fall import FallCheck, look_at
 from hil.loop.checks.filter_fit import FilterFit
 from hil.loop.checks.frame_move import FrameMove
 from hil.loop.checks.loop_pause import LoopPause
+from hil.loop.checks.lost_reads import LostReads
 from hil.loop.checks.lost_sensor import LostCheck
 from hil.loop.checks.path_error import PathCheck
 from hil.loop.checks.sensor_rate import SensorRate
@@ -70,6 +71,7 @@ class Supervisor:
             own.hold,
             self._pace,
             servos,
+            LostReads(servos.names),
             samples,
             SensorRate(own.healthy),
             LostCheck(samples, own, self.left_out),

@@ -246,7 +246,7 @@ def test_a_negative_push_is_refused_and_the_propellers_go_on():
 def test_an_estimate_that_motion_capture_contradicts_while_it_slides_points_at_what_holds_it():
     """In this world the slide is found by the estimate alone, slower than any other check sees."""
     pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
-    (cell,) = cells_of({"thrust": ("off",)}, seeds=(4,), plants=("mujoco",), moments=("stop",))
+    (cell,) = cells_of({"thrust": {"off": ()}}, seeds=(4,), plants=("mujoco",), moments=("stop",))
     verdict = run_cell(cell)
     assert verdict.why == ()
     assert verdict.ended == "sensors_disagree"

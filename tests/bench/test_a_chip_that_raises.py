@@ -5,6 +5,7 @@ import re
 import pytest
 
 import hil
+from hil.core.errors import UsageError
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.robot.trajectories import line
@@ -22,27 +23,28 @@ class Still:
 class Ticks(Scheduled):
     """Acts every 10 ns, and raises at one time, while acting or while it is asked."""
 
-    def __init__(self, breaks_ns=NEVER_NS, *, asked=False):
-        self.due_ns, self.breaks_ns, self.asked, self.seen = 10, breaks_ns, asked, []
+    def __init__(self, breaks_ns=NEVER_NS, *, asked=False, error=ZeroDivisionError):
+        self.due_ns, self.breaks_ns, self.asked, self.seen, self.error = 10, breaks_ns, asked, [], error
 
     def next_due_ns(self):
         if self.asked and self.due_ns >= self.breaks_ns:
-            raise ZeroDivisionError("broken")
+            raise self.error("broken")
         return self.due_ns
 
     def on_due(self, t_ns):
         if t_ns >= self.breaks_ns:
-            raise ZeroDivisionError("broken")
+            raise self.error("broken")
         self.seen.append(t_ns)
         self.due_ns += 10
 
 
+@pytest.mark.parametrize("error", [ZeroDivisionError, UsageError])
 @pytest.mark.parametrize("asked", [False, True])
-def test_a_part_raises_once_and_is_silent_while_the_others_go_on(asked):
-    world, bad, good = World(Still()), Ticks(30, asked=asked), Ticks()
+def test_a_part_raises_once_and_is_silent_while_the_others_go_on(asked, error):
+    world, bad, good = World(Still()), Ticks(30, asked=asked, error=error), Ticks()
     world.add(bad)
     world.add(good)
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(error):
         world.advance_to(60)
     assert bad.broken
     world.advance_to(60)

@@ -1,5 +1,7 @@
 """Servos that fall silent, report errors, stand still or leap are named with what to do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from supervised import Supervised
@@ -190,3 +192,45 @@ def test_a_leap_behind_a_short_silence_is_reported_against_the_last_angle_known(
         assert watch.check(cycle(k, wrong={joint: Status.TIMEOUT})) == ()
     (event,) = watch.check(cycle(3, np.where(np.arange(8) == joint, 0.6, 0.0)))
     assert f"(ID {IDS[joint]}) reports a step of +0.60 rad in 30 ms" in event.message
+
+
+def test_one_servo_that_misses_every_other_read_is_named_and_no_other():
+    """Nothing stops: a complete read comes every 20 ms. The two behind it in the chain miss a few reads."""
+    watch, reported = supervisor(), []
+    for k in range(300):
+        wrong = {4: Status.TIMEOUT} if k % 2 else {}
+        if k % 20 == 1:
+            wrong |= {5: Status.TIMEOUT, 6: Status.TIMEOUT}
+        reported += watch.check(cycle(k, wrong=wrong))
+    assert [(e.level, e.source) for e in reported] == [("warning", "servos")]
+    assert "steer_FL (ID 15)" in reported[0].message
+    assert "ID 16" not in reported[0].message
+    assert reported[0].t_ns < 600_000_000
+
+
+def test_single_lost_reads_are_not_reported():
+    watch = supervisor()
+    assert not [e for k in range(300) for e in watch.check(cycle(k, wrong={} if k % 20 else {0: Status.CRC}))]
+
+
+def test_wheels_wait_while_commands_may_arrive_and_answers_do_not():
+    """No watchdog of the servos trips then, and the robot would go on until the stop."""
+    watch, asked = supervisor(), WheelSetpoint(np.full(4, 3.0), np.full(4, 0.2))
+    rates = []
+    for k in range(20):
+        watch.check(cycle(k, wrong=ALL_SILENT if 5 <= k < 14 else {}))
+        limited = watch.limit(asked)
+        rates.append(float(limited.wheel_rate_rad_s[0]))
+        np.testing.assert_array_equal(limited.steering_rad, asked.steering_rad)
+    assert rates[:9] == [3.0] * 9
+    assert rates[10:14] == [0.0] * 4
+    assert rates[14:] == [3.0] * 6
+
+
+def test_a_device_that_holds_up_the_loop_is_named_once_a_second():
+    watch, reported = supervisor(), []
+    for k in range(250):
+        slow_ns = {"imu": 15_000_000, "tracker": 35_000_000} if k > 20 else {}
+        reported += watch.check(replace(cycle(k), slow_ns=slow_ns))
+    assert [(e.level, e.source) for e in reported] == [("warning", "tracker")] * 3
+    assert "35 ms" in reported[0].message

@@ -55,6 +55,24 @@ def test_every_fault_of_the_shipped_bench_has_its_cells():
     assert devices >= {*load_bench("emulated").devices(), "servo.steer_FL", "plant"}
 
 
+@pytest.mark.parametrize("factor", [-1, -10])
+def test_a_force_that_no_propeller_has_is_refused_before_the_run(factor):
+    """It once raised out of the emulator in mid-drive, and nobody looked whether the robot is held."""
+    with pytest.raises(UsageError, match=r"factor is -10?; expected a number from 0 to 10"):
+        check_faults(load_bench("emulated"), [f"thrust:wrong@2,factor={factor}"])
+
+
+def test_a_wire_that_fails_in_one_direction_lets_the_robot_move_no_further_than_in_both():
+    """Replies are lost, commands still arrive: the watchdogs of the servos do not trip."""
+    moved_mm = {}
+    for way in ("in", "both"):
+        spec = f"servos:silent@1.3+1,direction={way}"
+        verdict = faults.run_cell(Cell("servos", "silent", "random", 7, "own", (spec,)))
+        assert not verdict.why
+        moved_mm[way] = 1e3 * verdict.measured.moved_m
+    assert moved_mm["in"] <= moved_mm["both"] <= 2.5
+
+
 def test_faults_are_tried_at_strengths_of_both_signs_that_their_devices_take():
     bench = load_bench("emulated")
     found = cells_of(supported_faults(bench), seeds=(0,), plants=("own",))

@@ -9,7 +9,7 @@ from hil.report.history.opening import page_of
 from hil.report.history.query import LAST, named
 from hil.report.history.removal import written
 
-CELLS = cells_of({"imu": ("off", "jump")}, seeds=(0,), plants=("own",), moments=("motion",))
+CELLS = cells_of({"servos": {"off": (), "jump": ()}}, seeds=(0,), plants=("own",), moments=("motion",))
 
 
 @pytest.fixture

@@ -43,6 +43,7 @@ class ServoCheck(Check):
 
     Attributes:
         asked_rad_s: (4,) last commanded wheel rates.
+        names: servos in messages, with bus IDs where known.
         waits: no complete read for so long that the wheels wait for the next one. Where commands still
             arrive, and no answers, no watchdog of the servos trips: the robot would go on until the stop.
     """
@@ -50,7 +51,7 @@ class ServoCheck(Check):
     def __init__(self, stale_s: float | None, pause: LoopPause, ids: tuple[int, ...] = ()) -> None:
         self._pause = pause
         self._stale_ns = None if stale_s is None else nanoseconds(stale_s)
-        self._names = tuple(f"{s} (ID {i})" for s, i in zip(SERVOS, ids, strict=True)) if ids else SERVOS
+        self.names = tuple(f"{s} (ID {i})" for s, i in zip(SERVOS, ids, strict=True)) if ids else SERVOS
         self.reset()
 
     def reset(self) -> None:
@@ -94,7 +95,7 @@ class ServoCheck(Check):
         """Report goals that the driver has clipped."""
         for health in inputs.health:
             if any(health.clipped):
-                named = ", ".join(f"{self._names[j]} {n} times" for j, n in enumerate(health.clipped) if n)
+                named = ", ".join(f"{self.names[j]} {n} times" for j, n in enumerate(health.clipped) if n)
                 message = (
                     f"goals were clipped: {named}; a wheel is not where the setpoint says. Compare the "
                     "finding `limits` of `hil doctor` with alignment.steer_zero_rad and [safety]"
@@ -137,12 +138,12 @@ class ServoCheck(Check):
                 "none of the eight answers in time; check the servos' supply, the bus cable, the adapter and "
                 "the baud rate; one late servo delays all (the check after the stop names it)"
             )
-        found = ", ".join(f"{self._names[j]}: {status.value}" for j, status in missed.items())
+        found = ", ".join(f"{self.names[j]}: {status.value}" for j, status in missed.items())
         known = [remedy for status, remedy in _REMEDIES.items() if status in kinds]
         return "; ".join((found, *known[:1]))
 
     def _alerts(self, alert: tuple[int, ...]) -> str:
-        found = ", ".join(f"{self._names[j]}: {hardware_error_text(a)}" for j, a in enumerate(alert) if a)
+        found = ", ".join(f"{self.names[j]}: {hardware_error_text(a)}" for j, a in enumerate(alert) if a)
         return f"servo alert of {found}; remove the cause, then reboot the servo"
 
     def _check_turning(self, angles: list[float], t_ns: int, stop: ReportStop) -> None:
@@ -193,7 +194,7 @@ class ServoCheck(Check):
         self, j: int, step_rad: float, dt_s: float, t_ns: int, outside: list[float], events: list[Event]
     ) -> None:
         """Report a step, with the turn of the steering axis' external encoder since `outside`."""
-        said = f"{self._names[j]} reports a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
+        said = f"{self.names[j]} reports a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
         if j >= 4 and math.isfinite(turned := self._outside[j - 4] - outside[j - 4]):
             said += f"; the external encoder {WHEELS[j - 4]} turned by {abs(wrap(turned)):.2f} rad"
         events.append(Event(t_ns, "warning", "servos", said))

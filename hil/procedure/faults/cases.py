@@ -31,7 +31,7 @@ QUICK = (
     ("servos", "drop", "motion", "probability=0.2"),
     ("servo.steer_FL", "jump", "motion", DEFAULT),
     ("tracker", "wrong", "motion", DEFAULT),
-    ("imu", "corrupt", "motion", "probability=0.9"),
+    ("imu", "corrupt", "motion", "probability=0.5"),
     ("plant", "adhesion_loss", "motion", DEFAULT),
     ("adhesion", "bus_off", "open", DEFAULT),
 )
@@ -118,7 +118,9 @@ def cells_of(
     given = [
         (device, fault, moment, strength)
         for device, fault, moment in wanted
-        for number, strength in enumerate(strengths_of(device, fault, supported[device][fault]))
+        for number, strength in enumerate(
+            strengths_of(device, fault, supported[device][fault]) or ((DEFAULT,) if only else ())
+        )
         if number == 0 or moment == OTHERS_AT
     ]
     return tuple(_cell(*one, seed, plant) for plant, seed, one in itertools.product(plants, seeds, given))

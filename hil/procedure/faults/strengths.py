@@ -15,7 +15,7 @@ _OF_ANY: Mapping[str, tuple[str, ...]] = {
     "drop": _SHARES,
     "corrupt": _SHARES,
     "truncate": _SHARES,
-    "duplicate": ("probability=1",),
+    "duplicate": (),
     "intermittent": (DEFAULT, "period_s=0.02,duty=0.5", "period_s=0.1,duty=0.9"),
     "silent": (DEFAULT, "direction=out", "direction=both"),
     "pieces": (DEFAULT, "size=1,gap_s=0", "size=30,gap_s=0.003"),
@@ -23,7 +23,12 @@ _OF_ANY: Mapping[str, tuple[str, ...]] = {
     "delayed": (DEFAULT, "delay_s=0.03", "delay_s=0.5"),
 }
 """By kind of fault."""
+_OF_SENSORS: Mapping[str, tuple[str, ...]] = dict.fromkeys(
+    ("drop", "corrupt", "truncate"), ("probability=0.9", "probability=0.2", "probability=0.02")
+)
+"""They send so often that a few lost messages change nothing."""
 _OF_SERVOS: Mapping[str, tuple[str, ...]] = {
+    "duplicate": ("probability=1",),
     "slow": (DEFAULT, "answer_s=0.0005", "answer_s=0.02"),
     "wrong": (DEFAULT, "angle_rad=0.01", "angle_rad=-0.1", "angle_rad=1", "share=0.9", "share=0.5"),
     "jump": (DEFAULT, "angle_rad=0.02", "angle_rad=-0.5", "angle_rad=3"),
@@ -34,32 +39,38 @@ _OF_DEVICE: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "servos": _OF_SERVOS,
     "servo": _OF_SERVOS,
     "encoders": {
+        **_OF_SENSORS,
         "wrong": (DEFAULT, "offset_rad=0.01", "offset_rad=-0.2", "offset_rad=2"),
         "jump": (DEFAULT, "angle_rad=0.01", "angle_rad=-0.2", "angle_rad=2"),
-        "duplicate": (),
     },
     "encoder": {
+        **_OF_SENSORS,
         "wrong": (DEFAULT, "offset_rad=0.01", "offset_rad=-0.2", "offset_rad=2"),
         "jump": (DEFAULT, "angle_rad=0.01", "angle_rad=-0.2", "angle_rad=2"),
     },
     "imu": {"wrong": (DEFAULT, "rate_rad_s=0.005", "rate_rad_s=-0.1", "rate_rad_s=3"), "jump": ()},
     "tracker": {
+        **_OF_SENSORS,
         "wrong": _OF_CAMERA,
         "jump": (DEFAULT, "distance_m=0.003", "distance_m=-0.1", "distance_m=10"),
     },
-    "mocap": {"wrong": (DEFAULT, "offset_m=0.003", "offset_m=-0.1", "offset_m=100")},
+    "mocap": {**_OF_SENSORS, "wrong": (DEFAULT, "offset_m=0.003", "offset_m=-0.1", "offset_m=100")},
     "adhesion": {
+        **_OF_SENSORS,
         "wrong": (*_OF_FORCE, "factor=-1"),
         "jump": (DEFAULT, "speed_rpm=500", "speed_rpm=-5000", "speed_rpm=20000"),
         "adhesion_loss": (DEFAULT, "factor=0.9", "factor=0.6", "factor=0,over_s=2"),
-        "duplicate": (),
     },
     "plant": {"adhesion_loss": (DEFAULT, "factor=0.9", "factor=0.6", "factor=0,over_s=2")},
-    "thrust": {"wrong": _OF_FORCE, "jump": (DEFAULT, "steps=-5", "steps=60", "steps=-90"), "duplicate": ()},
+    "thrust": {
+        **dict.fromkeys(("slow", "delayed", "drop", "silent", "intermittent", "pieces", "stuck"), ()),
+        "wrong": _OF_FORCE,
+        "jump": (DEFAULT, "steps=-5", "steps=60", "steps=-90"),
+    },
     "load_cells": {
+        **_OF_SENSORS,
         "wrong": (*_OF_FORCE, "factor=-1", "drift_n_s=-3"),
         "jump": (DEFAULT, "force_n=1", "force_n=-10", "force_n=100"),
-        "duplicate": (),
     },
 }
 """By device and kind of fault, in place of those of any device."""
