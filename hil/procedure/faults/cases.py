@@ -31,7 +31,7 @@ QUICK = (
     ("servos", "drop", "motion", "probability=0.2"),
     ("servo.steer_FL", "jump", "motion", DEFAULT),
     ("tracker", "wrong", "motion", DEFAULT),
-    ("imu", "corrupt", "motion", "probability=0.5"),
+    ("imu", "corrupt", "motion", "probability=0.9"),
     ("plant", "adhesion_loss", "motion", DEFAULT),
     ("adhesion", "bus_off", "open", DEFAULT),
 )
