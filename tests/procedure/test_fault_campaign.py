@@ -118,7 +118,7 @@ def test_the_short_form_passes(tmp_path):
     result = run("--quick", "--json", "--out", str(tmp_path / "new" / "folder"))
     reported = json.loads(result.stdout)
     assert result.return_value == 0, reported["failed"]
-    assert (reported["cells"], reported["failed"]) == (5, [])
+    assert (reported["cells"], reported["failed"]) == (8, [])
     folder = tmp_path / "new" / "folder"
     assert "| `servos` | `brownout` |" in (folder / "reliability.md").read_text(encoding="utf-8")
     assert reported["page"] == str(folder / "faults.html")

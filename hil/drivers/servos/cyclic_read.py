@@ -211,10 +211,7 @@ class CycleReader:
         answers: dict[int, Answer],
         deadline_ns: int,
     ) -> dict[int, Answer]:
-        """Read missing servos once more, except the one at which the answer broke off, if there is time.
-
-        In `look` there always is: one silent servo, the first of the chain, would silence all eight.
-        """
+        """Read missing servos once more, except the one at which the answer broke off, if there is time."""
         if len(missing) == len(order):
             joints = _with_last(order, order[0])
         else:
@@ -223,7 +220,7 @@ class CycleReader:
         if not joints:
             return {}
         group, timeout_s = self._group(kind, joints)
-        left_ns = nanoseconds(timeout_s) if self._thorough else deadline_ns - self._clock.now_ns()
+        left_ns = deadline_ns - self._clock.now_ns()
         if left_ns < nanoseconds(timeout_s) - self._slack_ns:
             return {}
         return self._by_joint(group, self._bus.exchange(group, min(timeout_s, left_ns / NS_PER_S)), joints)
