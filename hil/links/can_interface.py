@@ -71,6 +71,10 @@ class OpenBus:
             self._bus.shutdown()
         except Exception as error:
             _LOG.debug("a CAN bus did not shut down cleanly (%s)", _text(error))
+            bus: Any = self._bus
+            with contextlib.suppress(Exception):  # else its destructor tries again, and prints the exception
+                can.BusABC.shutdown(bus)
+                bus.socket.close()
 
 
 def _text(error: Exception) -> str:

@@ -62,6 +62,8 @@ def _keep_alive(connection: socket.socket) -> None:
 class SocketPort(_Raw):  # type: ignore[misc]
     """A raw TCP port."""
 
+    _socket: Any = None
+
     def open(self) -> None:
         """Connect; raises `SerialException`."""
         super().open()
@@ -79,7 +81,7 @@ class SocketPort(_Raw):  # type: ignore[misc]
 
     def close(self) -> None:
         """Close it, also after a lost connection, where pyserial keeps the socket. Idempotent."""
-        connection = self._socket if self.is_open else None
+        connection = self._socket
         super().close()
         if connection is not None:
             connection.close()
@@ -117,6 +119,13 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
             self._check_connection()
         rest: bytes = super().read(size - len(data)) if self._thread.is_alive() else b""
         return bytes(data) + rest
+
+    def close(self) -> None:
+        """As `SocketPort.close`."""
+        connection = self._socket
+        super().close()
+        if connection is not None:
+            connection.close()
 
     def _check_connection(self) -> None:
         if self._thread is None or not self._thread.is_alive():

@@ -24,13 +24,17 @@ class NoModemLines(serial.Serial):
 
 
 class Bridge:
-    """Serves a serial port over TCP on loopback to one client; bytes wait `latency_s` in each direction."""
+    """Serves a serial port over TCP on loopback to one client; bytes wait `latency_s` in each direction.
 
-    def __init__(self, port: str, *, baud: int, latency_s: float, protocol: str) -> None:
+    It takes a free TCP port, or the one that is given by `at`.
+    """
+
+    def __init__(self, port: str, *, baud: int, latency_s: float, protocol: str, at: int = 0) -> None:
         self._serial = NoModemLines(port, baud, timeout=0)
         self._latency_s = latency_s
         self._protocol = protocol
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener = socket.create_server(("127.0.0.1", at))
+        self.at = self._listener.getsockname()[1]
         self._stop = threading.Event()
         self.clients = 0
         self._to_client: deque[tuple[float, bytes]] = deque()
@@ -40,7 +44,7 @@ class Bridge:
     @property
     def url(self) -> str:
         """For the bench file."""
-        return f"{self._protocol}://127.0.0.1:{self._listener.getsockname()[1]}"
+        return f"{self._protocol}://127.0.0.1:{self.at}"
 
     def write(self, data: bytes) -> None:
         """What the port manager answers by itself to the client."""
@@ -97,9 +101,9 @@ class SocketCanDaemon:
     Speaks the daemon's raw mode (github.com/linux-can/socketcand, doc/protocol.md).
     """
 
-    def __init__(self, bus, *, latency_s: float) -> None:
+    def __init__(self, bus, *, latency_s: float, at: int = 0) -> None:
         self._bus, self._latency_s = bus, latency_s
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener = socket.create_server(("127.0.0.1", at))
         self.port = self._listener.getsockname()[1]
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
