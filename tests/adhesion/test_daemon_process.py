@@ -363,3 +363,21 @@ def test_nothing_is_left_where_it_listened(daemon):
     assert is_unkept(spec)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as free:
         free.bind(server.address(spec))
+
+
+def test_what_python_can_would_load_beside_is_kept_out_of_locked_memory(tmp_path):
+    """python-can imports asammdf where that is installed, and with it pandas: 100 MB that would be locked."""
+    seen = tmp_path / "loaded"
+    (tmp_path / "asammdf.py").write_text(f"open({str(seen)!r}, 'w').close(); raise ImportError\n")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), *filter(None, sys.path)))}
+
+    def run(*words):
+        return subprocess.run(
+            [sys.executable, *words], env=environment, capture_output=True, text=True, timeout=120
+        )
+
+    done = run("-m", "hil.fan_daemon", "--stay", "no specification")
+    assert "error" in json.loads(done.stdout)
+    assert not seen.exists()
+    run("-c", "import can")
+    assert seen.exists(), "python-can no longer imports it"

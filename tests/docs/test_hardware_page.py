@@ -40,6 +40,7 @@ AS_ROOT = {
     "jetson_clocks",
     "modprobe",
     "nvpmodel",
+    "slcand",
     "systemctl",
     "tee",
     "udevadm",

@@ -3,6 +3,8 @@
 import contextlib
 import os
 import socket
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -89,6 +91,35 @@ def test_a_client_that_knows_only_the_standard_connects_by_either_transport(emul
         numbers = [frame.prefix.frame_number for frame in frames_of(NatNetClient(use_multicast=multicast))]
         assert len(numbers) >= 20
         assert len(set(numbers)) == len(numbers), "each frame comes once, whatever else is offered"
+
+
+OPTITRACK = """
+import os, threading
+from natnetsdk.NatNetClient import NatNetClient
+poses, enough = [], threading.Event()
+def take(identifier, position_m, rotation_xyzw):
+    poses.append((identifier, *position_m))
+    if len(poses) > 50:
+        enough.set()
+client = NatNetClient()
+client.set_print_level(0)
+client.set_client_address("127.0.0.1")
+client.set_server_address("127.0.0.1")
+client.set_use_multicast(False)
+client.rigid_body_listener = take
+client.run()
+enough.wait(20)
+print(len(poses), poses[-1:], flush=True)
+os._exit(not enough.is_set())
+"""
+
+
+@pytest.mark.real_time
+def test_optitracks_own_client_takes_the_frames(emulate, motive_ports):
+    """It reads two precision stamps at the end of every frame of NatNet 4: without them it takes none."""
+    emulate("--only", "mocap", "--standard-ports")
+    done = subprocess.run([sys.executable, "-c", OPTITRACK], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout[-500:] + done.stderr[-500:]
 
 
 def test_multicast_never_leaves_the_host():

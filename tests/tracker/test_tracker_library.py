@@ -1,15 +1,17 @@
 """A camera that is not there yet, and a library that fails, through a stand-in for pyrealsense2."""
 
 import sys
+from importlib import metadata
 from types import SimpleNamespace
 
 import pytest
 
 from hil.bench.doctor.discovery import discover
 from hil.config.tracker import T265Config
+from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.librealsense_interface import PlainLibrary, StreamRequest
+from hil.drivers.tracker.librealsense_interface import PlainLibrary, StreamRequest, find_camera
 
 OTHER = ("Intel RealSense D435", "1234")
 
@@ -36,8 +38,6 @@ class StandIn(PlainLibrary):
         fails_until_s: bench time at which it stops failing.
         others: further devices, there from the beginning.
     """
-
-    __version__ = "2.53.1"
 
     def __init__(self, bench, *, there_s=0.0, fails="", fails_until_s=1e9, others=()):
         self._bench, self._there_s, self._others = bench, there_s, others
@@ -156,3 +156,11 @@ def test_discover_looks_once_where_no_camera_is_plugged_in(with_library, tmp_pat
     assert found.sections == {}
     assert library.looks == 1
     assert any("no T265 is connected" in text for text in said)
+
+
+def test_the_librarys_version_is_that_of_its_package():
+    """pyrealsense2 2.53.1 has no `__version__`."""
+    pytest.importorskip("pyrealsense2", reason="it has no wheel for this computer")
+    with pytest.raises(DeviceError) as caught:
+        find_camera(SimpleNamespace(context=dict), "tracker", MonotonicClock(), 0.0)
+    assert caught.value.expected.endswith(f"this is {metadata.version('pyrealsense2')}")
