@@ -72,7 +72,7 @@ def inside(result: Calibration, truth: Array) -> tuple[Array, Array]:
 
 def calibrated(recordings: Sequence[Recording], robot: Nominal, seed: int) -> Calibration:
     """As `hil calibrate` does it, but for the cross-validations that only its table needs."""
-    choice = choose(recordings, candidates(RECOMMENDED, robot.geometry), seed=seed)
+    choice = choose(recordings, candidates(RECOMMENDED, robot.geometry))
     paper = replace(robot, geometry=choice.best.nominal)
     return calibrate(
         recordings,

@@ -221,7 +221,7 @@ def calibrate(
     recordings = [r for r in recordings if r.name not in bad]
     rejected = dict(unusable or {}) | bad
     if choice is None and validate and setting.choose_model and can_choose(recordings):
-        choice = choose(recordings, candidates(setting, robot.geometry), seed=seed, report=report)
+        choice = choose(recordings, candidates(setting, robot.geometry), report=report)
         setting, robot = choice.best.setting, replace(robot, geometry=choice.best.nominal)
     chosen_ns = clock.now_ns()
     cad = robot.geometry

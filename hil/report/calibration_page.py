@@ -86,7 +86,6 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
         f"cost J {number(result.cost_before)} before, {number(result.cost_after)} after",
         f"nominal robot: {result.robot.in_words()}",
         result.compared.in_words(),
-        result.compared.in_words(),
         *result.choice_in_words(),
     ]
     figures = [

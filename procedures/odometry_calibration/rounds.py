@@ -101,14 +101,14 @@ def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str)
     bad = corrupt(recordings, nominal_of(ctx.source.config))
     good = [r for r in recordings if r.name not in bad]
     groups = [g for g, r in zip(groups, recordings, strict=True) if r.name not in bad] if groups else groups
-    choice = choose(good, candidates(setting, nominal), seed=ctx.seed, groups=groups, report=ctx.progress)
+    choice = choose(good, candidates(setting, nominal), groups=groups, report=ctx.progress)
     ctx.note(choice.in_words())
     rows = [[name, f"{1e3 * error_m:.2f}"] for name, error_m in sorted(choice.held_out_m.items(), key=_error)]
     ctx.table(
         f"Forward models, {ctx.where}",
-        ["forward model", "position RMSE (mm)"],
+        ["forward model", "error at the wheels (mm)"],
         rows,
-        f"Each on {left_out} left out of its fit; the first is used.",
+        f"Each on {left_out} left out of its fit; {choice.best.name} is used.",
     )
     return choice
 

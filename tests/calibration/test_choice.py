@@ -10,7 +10,7 @@ from hil.calibration import model_choice as choice_module
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import calibration_file
 from hil.calibration.cross_validation import table_of
-from hil.calibration.model_choice import Candidate, Choice, apart_m, candidates, choose
+from hil.calibration.model_choice import Candidate, Choice, apart_m, candidates, choose, probabilities
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import _springs, hidden_robot, make_set
 from hil.core.clock import MonotonicClock
@@ -26,7 +26,7 @@ BRIEF = ("line_x", "line_y", "circle_ccw")
 def found(contact, seed=3):
     robot = hidden_robot(seed, contact=contact)
     recordings = make_set(robot, seed, BRIEF, repetitions=2, run_to_run=0.2, slip_share=0.0)
-    return choose(recordings, candidates(SETTING, robot.nominal.geometry), seed=0)
+    return choose(recordings, candidates(SETTING, robot.nominal.geometry))
 
 
 def test_dry_contact_is_read_by_the_model_of_dry_friction():
@@ -45,7 +45,7 @@ def test_dry_friction_weighs_wheels_by_their_loads_where_that_reads_left_out_rec
     """Motion was made with loads of 0.5 to 1.5: with them known it comes back, with equal ones not."""
     robot = loaded_robot(np.array([0.5, 1.4, 1.5, 0.6]))
     recordings = make_set(robot, 4, BRIEF, repetitions=2, run_to_run=0.0, slip_share=0.0)
-    choice = choose(recordings, candidates(SETTING, robot.nominal.geometry), seed=0)
+    choice = choose(recordings, candidates(SETTING, robot.nominal.geometry))
     assert choice.best.name == "dry friction, loads by statics", choice.held_out_m
     assert np.array_equal(choice.best.nominal.load, robot.load)
     assert choice.held_out_m[choice.best.name] < 0.6 * choice.held_out_m["dry friction"]
@@ -76,10 +76,10 @@ def test_what_belongs_together_is_left_out_together(monkeypatch):
         return recordings
 
     monkeypatch.setattr(choice_module, "_left_out", judged)
-    monkeypatch.setattr(choice_module, "position_rmse", lambda run: 1.0)
+    monkeypatch.setattr(choice_module, "_at_wheels_m", lambda run, nominal: 1.0)
     among = candidates(SETTING, robot.nominal.geometry)[:2]
     for groups in ((), (0, 0, 0, 0), (0, 0, 1, 1)):
-        choose(recordings, among, seed=0, groups=groups)
+        choose(recordings, among, groups=groups)
     assert [len(set(groups)) for groups in seen[::2]] == [4, 4, 2]
     assert seen[-1] == [0, 0, 1, 1]
 
@@ -98,8 +98,8 @@ def test_hil_calibrate_lets_held_out_recordings_decide_and_says_so(monkeypatch):
     again = left_out(recordings, fit.problem.blocks, result.setting, result.nominal, fit.solution.z, [0, 1])
     assert result.validation["leave_one_repetition_out"] == table_of(again)
     reported = result.to_json()["forward_models"]
-    assert reported["best"] == min(reported["held_out_rmse_m"], key=reported["held_out_rmse_m"].get)
-    assert result.choice.best.setting.model == result.setting.model == "dry-friction"
+    assert reported["best"] == result.choice.best.name
+    assert result.choice.best.setting.model == result.setting.model
     asked = make_setting("recommended", model="exact")
     assert calibrate(recordings, asked, MonotonicClock()).choice is None
 
@@ -134,7 +134,7 @@ def test_without_a_repetition_to_leave_out_nothing_is_chosen():
     robot = hidden_robot(1)
     recordings = make_set(robot, 1, BRIEF, repetitions=1)
     with pytest.raises(DataError, match="at least two"):
-        choose(recordings, candidates(SETTING, robot.nominal.geometry), seed=0)
+        choose(recordings, candidates(SETTING, robot.nominal.geometry))
 
 
 def test_what_models_are_apart_on_motions_of_a_metre():
@@ -162,3 +162,16 @@ def test_models_that_are_as_right_are_named_with_what_that_costs_elsewhere():
     assert reported["apart_m"] == dict(result.apart_m)
     said = " ".join(result.choice_in_words())
     assert all(rival.name in said for rival in result.choice.rivals)
+
+
+def test_probabilities_are_of_laws_and_grow_with_the_number_of_recordings():
+    laws = ["exact", "dry-friction", "creep", "creep"]
+    alike = probabilities(laws, [0.003] * 4, 10)
+    assert sum(alike) == pytest.approx(1.0)
+    assert alike[0] == pytest.approx(alike[2] + alike[3])
+    assert alike[1] == pytest.approx(0.25 * alike[0])
+    few, many = (probabilities(laws, [0.005, 0.004, 0.005, 0.005], n)[1] for n in (4, 24))
+    assert few < 0.5
+    assert many > 0.95
+    for laws_of_statics in (["exact", "creep"], ["exact", "creep", "creep", "creep"]):
+        assert probabilities(laws_of_statics, [0.003] * len(laws_of_statics), 8)[0] == pytest.approx(0.5)
