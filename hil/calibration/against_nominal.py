@@ -53,14 +53,17 @@ class AgainstNominal:
 
     @property
     def worse(self) -> bool:
-        """Whether the result is worse than nominal odometry, by a twentieth and 0.1 mm."""
-        return self.by_m < -self._least_m
+        """Whether the result, or its position alone, is worse than nominal odometry by 5 % and 0.1 mm."""
+        further_m = self.result[_POSITION] - self.nominal[_POSITION]
+        least_m = max(_LEAST_M, (_AS_GOOD - 1.0) * self.nominal[_POSITION])
+        return self.by_m < -self._least_m or further_m > least_m
 
     def in_words(self) -> str:
         """The comparison in one line."""
-        alike = abs(self.by_m) <= self._least_m
-        word = "as good as" if alike else "WORSE than" if self.worse else "better than"
+        alike = abs(self.by_m) <= self._least_m and not self.worse
+        word = "WORSE than" if self.worse else "as good as" if alike else "better than"
         by = "" if alike else f" by {1e3 * abs(self.by_m):.1f} mm at the wheels"
+        by = " in its position" if self.worse and self.by_m > 0.0 else by
         line = (
             f"on {_KINDS[self.on]}: {word} nominal odometry{by} "
             f"({_errors(self.result)} against {_errors(self.nominal)})"

@@ -215,9 +215,11 @@ def calibrate(
     begin_ns = clock.now_ns()
     robot = nominal if nominal is not None else Nominal()
     bad = corrupt(recordings, robot)
-    if len(bad) == len(recordings):
+    if 2 * len(bad) > len(recordings):
         name, why = next(iter(bad.items()))
-        raise DataError(name, f"{why}; none of {len(bad)} recordings is usable", remedy=LEAVE_OUT)
+        raise DataError(
+            name, f"{why}; {len(bad)} of {len(recordings)} recordings are not usable", remedy=LEAVE_OUT
+        )
     recordings = [r for r in recordings if r.name not in bad]
     rejected = dict(unusable or {}) | bad
     if choice is None and validate and setting.choose_model and can_choose(recordings):

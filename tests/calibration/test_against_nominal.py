@@ -40,6 +40,7 @@ NOTHING = table(a=row(0.010), b=row(0.020))
         (table(a=row(0.010), b=row(0.0201)), {}, False, -5e-5, False),
         (table(b=row(0.010)), {}, False, 0.010, False),
         ({}, table(a=row(0.014), b=row(0.026)), True, -0.005, False),
+        (table(a=row(0.012), b=row(0.022)), {}, True, -0.002, False),
         (table(a=row(0.010, 0.2), b=row(0.020, 0.2)), {}, True, 0.015 - np.hypot(0.015, 0.2 * 0.16), False),
     ],
 )
@@ -86,3 +87,10 @@ def test_a_result_worse_than_nominal_fails_and_is_not_written(unlike, tmp_path, 
     assert not out.exists()
     assert main([*arguments, "--accept-worse"]) == 0
     assert out.exists()
+
+
+def test_a_better_heading_does_not_hide_a_worse_position():
+    nominal = table(a=row(0.0005, 0.05))
+    found = against_nominal({"in_sample": table(a=row(0.004, 0.01))}, nominal, 0.16)
+    assert found.by_m > 0.0
+    assert found.worse
