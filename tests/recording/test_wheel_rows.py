@@ -1,5 +1,7 @@
 """Wheel rows as loggers write them: held, one wheel at a time, columns apart, changed values only."""
 
+from dataclasses import replace
+
 import numpy as np
 import perfect_robot as perfect
 import pytest
@@ -10,6 +12,7 @@ from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import build_recording
 from hil.datasets.plain_csv import read_plain
+from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
 
 COUNT_RAD = 2.0 * np.pi / 4096.0
@@ -128,3 +131,25 @@ def test_columns_that_have_no_row_are_still_named():
     rows[:, 8] = np.nan
     with pytest.raises(DataError, match=r"only 0 usable wheel rows \(delta4 holds no number"):
         build_recording("curve", Log(rows[:, 0], rows[:, 1:9]), Log(rows[:, 0], rows[:, 9:]))
+
+
+def test_steering_in_messages_of_its_own_may_lie_on_both_sides_of_the_wrap(tmp_path):
+    """A bag of modules half a turn round, driven backwards; its steering is interpolated to the drives."""
+    found = perfect.drive()
+    flipped = replace(found, phi=-found.phi, delta=np.angle(np.exp(1j * (found.delta + np.pi))))
+    messages = [one for one in perfect.messages(flipped) if one[0] != "/wheels"]
+    for k, t in enumerate(flipped.t_s):
+        for names, values, late_s in (
+            (perfect.DRIVE, flipped.phi[k], 0.0),
+            (perfect.STEER, flipped.delta[k], 1e-4),
+        ):
+            joints = perfect.STORE.types[perfect.JOINT](
+                perfect.header(t + late_s), names, values.copy(), np.array([]), np.array([])
+            )
+            messages.append(("/wheels", t + late_s, joints))
+    bag = perfect.write_bag(tmp_path / "curve_1", sorted(messages, key=lambda one: one[1]))
+    topics = tmp_path / "topics.toml"
+    topics.write_text(perfect.MAPPING)
+    (one,) = read_recordings([bag], topics=topics)
+    assert len(one.t_s) == len(found.t_s)
+    assert position_rmse(track(one, WheelGeometry.nominal())) < 1.2 * NOISE_M
