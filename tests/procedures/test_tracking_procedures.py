@@ -108,3 +108,22 @@ def test_ten_seeds_meet_every_limit(tmp_path):
     """The issue's table: lines of 1.5 m and the scan of 1.0 x 0.4 m, ten worlds; a quarter of an hour."""
     result = run("wall_tracking", tmp_path / "run", seeds=10, cases=["x_line", "y_line", "scan"])
     assert result.verdict in (Verdict.PASS, Verdict.MARGINAL), result.measurements
+
+
+@pytest.mark.parametrize("seeds", [1, 5])
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("wall_tracking", {"cases": ["x_line", "y_line", "scan"]}),
+        ("wall_ablation", {}),
+        ("grid_scan", {"compare": True}),
+    ],
+)
+def test_a_robot_without_errors_fails_no_limit(name, given, seeds):
+    """Nor does one whose odometry is as good as its filter: what only compares is a figure."""
+    proc = load_procedure(name)
+    settings = proc.settings(given | ({"seeds": seeds} if name == "wall_tracking" else {}), quick=False)
+    parameters = proc.parameters(**settings)
+    declared = proc.declared(parameters, BenchSource("emulated").config)
+    perfect = {m.name: 1.0 if m.unit == "1" else 0.0 for m in declared}
+    assert [m.name for m in declared if m.judge(perfect[m.name]) is not Verdict.PASS] == []
