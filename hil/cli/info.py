@@ -24,6 +24,8 @@ from hil.support.stop_signals import handled_by
 from hil.support.versions import version_of
 
 _COMPILING = "compiling numerical kernels"
+_ROUNDS = ({"filter": 55, "calibration": 3}, {"own": 24, "unscented filter": 4, "smoother": 12, "mujoco": 2})
+"""Parts of the kernels, each with the share of the waiting time, %, by whose end it is ready."""
 
 
 def _load_bench(plant: str) -> None:
@@ -63,15 +65,15 @@ def _compile(report: Report) -> None:
     """Compile all kernels in two processes, those that others contain first."""
     from hil.procedure.worker_processes import Workers
 
-    plants = ["own"] if why_unusable("mujoco") else ["own", "mujoco"]
-    rounds = (["filter", "calibration"], [plants[0], "unscented filter", "smoother", *plants[1:]])
-    done, parts = 0, sum(map(len, rounds))
-    report(_COMPILING, done, parts)
+    lacking = ["mujoco"] if why_unusable("mujoco") else []
+    rounds = [{part: share for part, share in one.items() if part not in lacking} for one in _ROUNDS]
+    done, total = 0, sum(sum(one.values()) for one in rounds)
+    report(_COMPILING, done, total)
     with handled_by(_end), Workers(2) as workers:
         for one in rounds:
-            for _ in workers.at_once(_load, one):
-                done += 1
-                report(_COMPILING, done, parts)
+            for share, _ in zip(one.values(), workers.at_once(_load, [*one]), strict=True):
+                done += share
+                report(_COMPILING, done, total)
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:
