@@ -11,6 +11,7 @@ another user has left beside the sources is read. `NUMBA_CACHE_DIR`, if it is se
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import logging
 import os
@@ -153,6 +154,13 @@ class _Home(caching.Cache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], home: Path) -> None:
         self._impl_class = partial(_Impl, locator=_Locator(function, home))
         super().__init__(function)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save the code for these types; what processes save at the same time is all kept."""
+        self._impl.locator.ensure_cache_path()
+        with open(Path(self.cache_path) / "lock", "w", encoding="ascii") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            super().save_overload(sig, data)
 
 
 class _Cache(caching.NullCache):  # type: ignore[misc]

@@ -128,7 +128,7 @@ def test_code_is_kept_for_the_newest_state_of_its_source_in_the_first_home_that_
     homes = (tmp_path / "one", tmp_path / "other")
     monkeypatch.setattr(numba_jit, "homes", lambda: homes)
     assert not from_the_cache(tmp_path)
-    assert not from_the_cache(tmp_path, MODULE.replace("1.5", "2.5"), 7.0)  # one state of it is kept
+    assert not from_the_cache(tmp_path, MODULE.replace("1.5", "2.50"), 7.0)  # one state of it is kept
     (source,) = homes[0].iterdir()
     assert len(list(source.iterdir())) == 1
     shutil.rmtree(homes[0])
