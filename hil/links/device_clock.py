@@ -47,7 +47,7 @@ class DeviceClock:
         if not -_EARLIEST_NS < late_ns < _LATEST_NS:
             self._strange += 1
             if self._strange < _NEW_AXIS_AFTER:
-                return host_ns - self._latency_ns, False
+                return self._forward(host_ns - self._latency_ns), False
             self._offset_ns = float(offset_ns)
         else:
             passed_ns = host_ns - self._seen_ns
@@ -56,6 +56,9 @@ class DeviceClock:
         self._strange = 0
         self._seen_ns = host_ns
         t_ns = device_ns + round(self._offset_ns) - self._latency_ns
-        t_ns = t_ns if t_ns < host_ns else host_ns
+        return self._forward(t_ns if t_ns < host_ns else host_ns), True
+
+    def _forward(self, t_ns: int) -> int:
+        """The time, or just after that of the last sample if it is not later."""
         self._t_ns = t_ns if t_ns > self._t_ns else self._t_ns + 1
-        return self._t_ns, True
+        return self._t_ns

@@ -40,6 +40,16 @@ def test_times_never_go_back_when_late_samples_are_found_out():
     assert mapped[-1] == pytest.approx(39 * period_ns + 100_000, abs=20_000)
 
 
+def test_times_never_go_back_when_late_samples_were_followed_by_a_gap():
+    """The first ten are 0.6 s late; what followed is lost; then all come promptly, in pairs."""
+    clock, period_ns = DeviceClock(latency_ns=0), 5_000_000
+    late = [(k, k * period_ns + 600_000_000) for k in range(10)]
+    prompt = [(k, (k + k % 2) * period_ns + 100_000) for k in range(130, 200)]
+    mapped = [clock.map(7_000_000 + k * period_ns, arrival_ns)[0] for k, arrival_ns in (*late, *prompt)]
+    assert np.all(np.diff(mapped) > 0)
+    assert mapped[-1] == pytest.approx(199 * period_ns + 100_000, abs=20_000)
+
+
 def test_a_new_time_axis_is_taken_up_after_some_insistence():
     clock = DeviceClock(latency_ns=0)
     for k in range(100):
