@@ -40,3 +40,11 @@ def test_the_table_is_printed_and_left_as_json_and_picture(tmp_path):
     assert len(facts["rows"]) == 2
     assert all(row["what"] in ran.stdout for row in facts["rows"])
     assert "exponent" in (tmp_path / "bench.svg").read_text()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_several_faults_at_once_let_no_robot_go_that_could_be_held():
+    ran = run("benchmarks/multiple_faults.py", "--runs", "0:4", "--processes", "2")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "own: 4 runs, 0 red" in ran.stdout

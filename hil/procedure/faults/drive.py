@@ -42,13 +42,15 @@ def run_cell(cell: Cell, bench: str = "emulated") -> CellVerdict:
     return judge(cell, observed(cell, bench))
 
 
-def observed(cell: Cell, name: str = "emulated") -> Seen:
-    """Run one cell; return what was observed, also beside the same world without a fault."""
+def observed(cell: Cell, name: str = "emulated", *, compared: bool = True) -> Seen:
+    """Run one cell; return what was observed, also beside the same world without a fault if `compared`."""
     way: list[Array] = []
     with tempfile.TemporaryDirectory(prefix="hil-faults-") as folder:
         path = Path(folder) / "run.mcap"
         seen = _drive(cell, name, path, way)
         seen.unreadable = _unreadable(path) if seen.cycles else ""
+    if not compared:
+        return seen
     pairs = zip(way, _way_without(name, cell.seed, cell.plant), strict=False)
     seen.effect_m = max((float(np.hypot(*(a - b))) for a, b in pairs), default=0.0)
     return seen
@@ -81,10 +83,10 @@ def _drive(cell: Cell, name: str, path: Path, way: list[Array]) -> Seen:
         seen.foreign = f"{type(error).__name__}: {error}"
     seen.held, seen.looked_s = bench.held if bench.held.opened else None, bench.clock.now_ns() / NS_PER_S
     seen.moved_m = float(np.hypot(*(_place(bench) - stopped)))
-    _watch(bench, seen)
     truth = bench.truth()
     if truth is not None:
-        seen.left_adhesion_n, seen.left_thrust_n = truth.adhesion_n, truth.thrust_n
+        seen.held_adhesion_n = truth.adhesion_n
+    _watch(bench, seen)
     seen.events = [Told(tuple(row["device"].split(SEPARATOR)), event_line(row)) for row in bench.seen.rows()]
     end()
     return seen
@@ -141,11 +143,15 @@ def _climb(bench: Bench, seen: Seen, way: list[Array]) -> None:
 
 
 def _watch(bench: Bench, seen: Seen) -> None:
-    """Measure how far the robot truly moves after the bench has closed."""
+    """Measure how far the robot truly moves after the bench has closed, and what presses it meanwhile."""
     clock, left = bench.clock, _place(bench)
     for _ in range(_LOOKS):
         clock.sleep_until_ns(clock.now_ns() + nanoseconds(WATCHED_S / _LOOKS))
         seen.crept_m = max(seen.crept_m, float(np.hypot(*(_place(bench) - left))))
+        truth = bench.truth()
+        if truth is not None:
+            seen.left_adhesion_n = truth.adhesion_n
+            seen.most_thrust_n = max(seen.most_thrust_n, truth.thrust_n)
 
 
 def _unreadable(path: Path) -> str:

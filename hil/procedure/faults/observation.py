@@ -86,7 +86,9 @@ class Seen:
         crept_m: largest distance from there in the seconds after the bench has closed.
         fallen: whether the true robot fell at any time.
         adhesion_n, thrust_n: least true holding forces at any time, N.
-        left_adhesion_n, left_thrust_n: true holding forces at the end of the observation, N.
+        held_adhesion_n: true force of the fan at the final report, N.
+        left_adhesion_n: true force of the fan at the end of the observation, N.
+        most_thrust_n: largest true push of the propellers after the bench has closed, N.
     """
 
     cycles: int = 0
@@ -109,8 +111,9 @@ class Seen:
     fallen: bool = False
     adhesion_n: float = 1e3
     thrust_n: float = 1e3
+    held_adhesion_n: float = 45.0
     left_adhesion_n: float = 45.0
-    left_thrust_n: float = 22.0
+    most_thrust_n: float = 0.0
 
     @property
     def state(self) -> str:
