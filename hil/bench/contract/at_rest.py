@@ -158,7 +158,7 @@ def reads_do_not_wait(subject: Subject) -> str:
 
 
 def recorded_bit_for_bit(subject: Subject) -> str:
-    """A recording returns the written samples bit for bit; each topic has a message for every sample."""
+    """A recording returns the written samples bit for bit, and what a topic makes of them is of its type."""
     kind, samples = kinds()[subject.kind], tuple(subject.watched.samples)
     own = () if kind.name in OURS else (kind,)
     delivered: dict[str, Any] = {"added": {kind.name: samples}} if own else {kind.name: samples}
@@ -174,6 +174,8 @@ def recorded_bit_for_bit(subject: Subject) -> str:
     for topic in kind.topics:
         for sample in samples:
             made = topic.message(sample, ros)
+            if made is None:  # a sample without the values that its message needs
+                continue
             written = to_cdr(made)
             try:
                 repeated = to_cdr(from_cdr(written, topic.type))
