@@ -12,6 +12,7 @@ from remote_bridges import Bridge, SocketCanDaemon
 import hil
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
+from hil.drivers.servos import scan
 from hil.links.network_ports import RemotePort
 from hil.links.serial_url import open_serial
 from hil.robot.kinematics import WheelGeometry
@@ -35,6 +36,16 @@ def served():
     yield json.loads(child.stdout.readline())
     child.terminate()
     child.communicate(timeout=20)
+
+
+def test_servos_behind_a_raw_socket_are_found_once_whatever_rate_is_asked(served):
+    """Its server sets the baud rate; the servos answer at any that the client believes."""
+    bridge = Bridge(served["servos"]["port"], baud=BAUD, latency_s=0.0, protocol="socket")
+    try:
+        found = scan(bridge.url, MonotonicClock())
+    finally:
+        bridge.close()
+    assert [servo.servo_id for servo in found] == list(range(1, 9))
 
 
 def bench_file(tmp_path, servos, imu, encoders, *, prefetch="false"):

@@ -59,9 +59,13 @@ class Dynamixel(SerialModel):
 
 
 def _described(port: str, servos: Sequence[FoundServo]) -> Found:
+    from hil.links.network_ports import SOCKET
+
     bauds, models = sorted({s.baud for s in servos}), sorted({s.model for s in servos})
     table: dict[str, Any] = {"port": port, "baud": bauds[0]}
     notes = []
+    if port.lower().startswith(SOCKET):
+        notes.append(f"the server at {port} sets the baud rate: set servos.baud to the rate of its port")
     if len(models) > 1 or models[0] not in servo_models():
         notes.append(
             f"servos of model {', '.join(map(model_text, models))} at {port}: "

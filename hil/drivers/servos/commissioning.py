@@ -22,6 +22,7 @@ from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import find_statuses
 from hil.drivers.servos.register_map import from_block
 from hil.drivers.servos.sdk_port import ServoPort
+from hil.links.network_ports import SOCKET
 
 _DEVICE = "servos"
 _LATENCY_S, _SLACK_S = 0.016, 0.05  # enough for an adapter with default settings on a busy computer
@@ -56,10 +57,14 @@ def scan(
 ) -> tuple[FoundServo, ...]:
     """Servos at a port, by one broadcast ping per baud rate (about 3 ms per ID).
 
+    The server of a raw socket sets the baud rate, so there only the first of the rates is asked.
+
     Raises:
         DeviceError: the port cannot be opened.
     """
     wanted, rates = set(ids), [_checked_baud(b) for b in bauds]
+    if port.lower().startswith(SOCKET):
+        rates = rates[:1]
     found: dict[tuple[int, int], FoundServo] = {}
     line = ServoPort(port, rates[0], clock, latency_s=_LATENCY_S, slack_s=_SLACK_S)
     line.open(_DEVICE)
