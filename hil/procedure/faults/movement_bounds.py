@@ -42,8 +42,9 @@ LEAST_ADHESION_N, LEAST_THRUST_N = 21.0, 8.0
 while its fan presses as hard as it can.
 """
 _NO_COMMANDS = ("bus_off", "unplug", "baud_mismatch", "silent")
+_ON_CAN = ("drop", "corrupt", "truncate", "garbage", "intermittent")
 _TAKE_FORCE: Mapping[str, Collection[str]] = {
-    "adhesion": ("off", "brownout", "reset", "adhesion_loss", *_NO_COMMANDS),
+    "adhesion": ("off", "brownout", "reset", "adhesion_loss", *_NO_COMMANDS, *_ON_CAN),
     "thrust": (
         *("off", "brownout", "reset", *_NO_COMMANDS),
         *("garbage", "intermittent", "slow", "drop", "corrupt", "truncate"),
@@ -133,15 +134,15 @@ def let_go(cell: Cell, adhesion_n: float, thrust_n: float) -> bool:
     short = {"adhesion": adhesion_n < LEAST_ADHESION_N, "thrust": thrust_n < LEAST_THRUST_N}
     parts = [(kind_of(device).name, fault, spec) for device, fault, spec in _parts(cell)]
     return any(
-        short.get(kind, False) and fault in _TAKE_FORCE.get(kind, ()) and _reaches(fault, spec)
+        short.get(kind, False) and fault in _TAKE_FORCE.get(kind, ()) and _reaches(kind, fault, spec)
         for kind, fault, spec in parts
     )
 
 
-def _reaches(fault: str, spec: str) -> bool:
+def _reaches(kind: str, fault: str, spec: str) -> bool:
     """Whether a fault of a wire stops what is sent towards the device."""
-    given = _DIRECTION.search(spec)
-    return (given[1] if given else "in" if fault == "silent" else "both") != "in"
+    given, without = _DIRECTION.search(spec), fault == "silent" or (kind == "adhesion" and fault in _ON_CAN)
+    return (given[1] if given else "in" if without else "both") != "in"
 
 
 def faulty_joints(cell: Cell) -> frozenset[str]:
