@@ -10,6 +10,7 @@ import hil
 from hil.bench.hold.motion_since_stop import JOINTS, MotionSinceStop
 from hil.core.device import DeviceKind
 from hil.core.errors import SafetyStop
+from hil.core.signals import SERVOS
 from hil.devices.servos import KIND as SERVO_KIND
 from hil.devices.tracker import KIND as CAMERA_KIND
 from hil.robot.trajectories import line
@@ -280,6 +281,19 @@ def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(se
     assert stop.reason == "stale_servos"
     assert held.state == "HELD"
     assert f"(ID {servo_id}: answers after 2" in held.why
+    assert moved_m < FAR_M
+    assert speed_m_s < 1e-4
+
+
+def test_a_servo_that_answers_every_other_read_is_named_and_held():
+    """It is seen at rest with torque often enough; the propellers' time at rest goes on while it is silent."""
+    way = line((0, 0, 0), (0.04, 0, 0), duration_s=1.2)
+    fault = "servo.drive_FL:intermittent@1,period_s=0.02,duty=0.5"
+    held, stop, moved_m, speed_m_s = left(fault, seed=8151, way=way)
+    assert stop is None
+    assert held.state == "HELD"
+    assert "drive_FL did not answer" in held.why
+    assert not any(name in held.why for name in SERVOS[1:])
     assert moved_m < FAR_M
     assert speed_m_s < 1e-4
 

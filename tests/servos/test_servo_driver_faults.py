@@ -183,6 +183,18 @@ def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     np.testing.assert_allclose(last.position_rad, true, atol=0.02)
 
 
+@pytest.mark.parametrize(("fast", "behaviour"), [("auto", "silent"), (False, "silent"), (False, "skip")])
+def test_a_servo_that_answers_every_other_read_costs_no_other_servo(servo_bench, fast, behaviour):
+    """Drive_FL leads the reply, so that a silence of it loses the whole reply once, and not again."""
+    fault = "servo.drive_FL:intermittent@0.5,period_s=0.02,duty=0.5"
+    bench = servo_bench(fault, config={"fast_sync_read": fast}, after_absent=behaviour)
+    bench.driver.enable()
+    samples = between(cycles(bench, 2.5), 0.5, 2.5)
+    lost = [sum(s.status[j] is not Status.OK for s in samples) for j in range(8)]
+    assert lost[0] == pytest.approx(len(samples) / 2, rel=0.1)
+    assert max(lost[1:]) <= 1
+
+
 @pytest.mark.parametrize("kind", ["drop", "truncate"])
 def test_a_probability_is_that_of_a_whole_reply(servo_bench, kind):
     """Of one packet by all servos, or of eight: a fifth of the reads, as the page on faults says."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
@@ -62,6 +62,8 @@ _RISES_NS = nanoseconds(2.0)
 _MOVED_M = 0.001
 _UNSEEN_M = 0.005
 """Largest undetected motion of a held robot after its stop."""
+_OFTEN = 0.1
+"""Share of unanswered reads from which HELD names a servo."""
 _FELT = 10
 """Number of specific-force samples in the median."""
 
@@ -143,9 +145,9 @@ class HoldMonitor(Sink):
         sources = [(name, self._seeing[name]) for name in self._travel.names]
         self._motion_sources = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in sources]
         self._doubted: dict[str, bool] = {}
-        self._unread: set[str] = set()
+        self._reads, self._unread = 0, Counter[str]()
         self._pressed_ns: int | None = None
-        self._seen_moving = False
+        self._moving = self._seen_moving = False
         self._jumps = FrameJumps()
         self._let_go = False
         self.last_state: RobotState | None = None
@@ -236,7 +238,7 @@ class HoldMonitor(Sink):
         self._press.begin(for_good=for_good)
         self._pressed_ns = None
         self._felt_m_s2.clear()
-        self._unread.clear()
+        self._reads, self._unread = 0, Counter()
         while True:
             hold = servos.look_after()
             time.on_servo_status(hold)
@@ -244,7 +246,7 @@ class HoldMonitor(Sink):
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)
             doubt = self._doubt(hold, trails, seen, places)
-            moves = bool(places and doubt and not hold.trouble)
+            moves = bool(places and self._moving and not hold.trouble)
             unpressed = self._press.doubt(
                 self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=moves
             )
@@ -269,7 +271,8 @@ class HoldMonitor(Sink):
                 return self._verdict("HELD", self._grounds(hold.t_ns, seen, places) + late, seen)
             if time.is_up(self._clock.now_ns()):
                 return self._verdict("NOT HELD", doubt + late, seen)
-            pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
+            calm = self._press.waits and JOINTS in seen and not hold.trouble
+            pause_ns = _SELDOM_NS if calm else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 
     def _press_harder(self, now_ns: int, began_ns: int) -> None:
@@ -285,7 +288,14 @@ class HoldMonitor(Sink):
         rests = ", ".join(kinds()[name].noun for name in seen if name in by)
         tether = self._on_wall and not (self._can_fall or places or self._press.feels(t_ns))
         by_tether = "; on its tether, so no sensor has to see whether it slides" if tether else ""
-        return f"torque on, at rest by {rests}{self._press.in_words(t_ns)}{by_tether}"
+        return f"torque on, at rest by {rests}{self._press.in_words(t_ns)}{by_tether}{self._missed()}"
+
+    def _missed(self) -> str:
+        """Text with the servos that missed many reads of this check; empty for none."""
+        most = max(self._unread.values(), default=0)
+        often = {n for n, lost in self._unread.items() if lost > _OFTEN * self._reads and 2 * lost > most}
+        who = "all eight servos" if len(often) == len(SERVOS) else ", ".join(n for n in SERVOS if n in often)
+        return f"; {who} did not answer {most} of {self._reads} reads" if often else ""
 
     def _believed(self, seen: Collection[str]) -> list[str]:
         """Sensors that have measured the robot and were not in doubt."""
@@ -332,6 +342,7 @@ class HoldMonitor(Sink):
     def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
         """Add the new samples of servos and sensors to the trails."""
         now_ns, read = hold.t_ns, np.isfinite(hold.position_rad)
+        self._reads += 1
         self._unread.update(name for name, known in zip(SERVOS, read, strict=True) if not known)
         seen = [(JOINTS, hold.position_rad)] if read.all() else []
         for name in self._seeing:
@@ -383,7 +394,7 @@ class HoldMonitor(Sink):
             places: those of them that would detect a slide, and are trusted.
         """
         felt = self._doubt_of_weight()
-        self._seen_moving = False
+        self._moving, self._seen_moving = bool(felt), False
         if hold.trouble or felt:
             servos = lacking_in_words(hold) if hold.trouble else "torque is on"
             return "; ".join([felt, servos] if felt else [servos])
@@ -393,7 +404,7 @@ class HoldMonitor(Sink):
             return f"torque is on, but {who} have not been seen at rest for long enough"
         for name in seen:
             if not self._doubted.get(name) and trails[name].moves():
-                self._seen_moving = name in places
+                self._moving, self._seen_moving = True, name in places
                 return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
         if len(self._seeing) > 1 and not any(n != JOINTS and not self._doubted.get(n) for n in seen):
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"

@@ -58,7 +58,9 @@ class Trail:
             self._seen.popleft()
 
     def full(self, now_ns: int) -> bool:
-        """Whether the samples cover a whole window and are recent; lengthens the window of a noisy device."""
+        """Whether enough samples cover a whole window and are recent; lengthens the window otherwise."""
+        if self._is_fresh(now_ns) and len(self._seen) < _LEAST and self._spans(now_ns):
+            self.window_ns = min(self.window_ns + _LONGER_NS, _LONGEST_NS)
         if not self._reaches_back(now_ns):
             return False
         sigma = self._sigma()
@@ -84,8 +86,10 @@ class Trail:
         return float(np.abs(change).max()) > self._most()
 
     def _reaches_back(self, now_ns: int) -> bool:
-        seen = self._seen
-        return self._is_fresh(now_ns) and len(seen) >= _LEAST and seen[0][0] <= now_ns - self.window_ns
+        return self._is_fresh(now_ns) and len(self._seen) >= _LEAST and self._spans(now_ns)
+
+    def _spans(self, now_ns: int) -> bool:
+        return self._seen[0][0] <= now_ns - self.window_ns
 
     def _is_fresh(self, now_ns: int) -> bool:
         return bool(self._seen) and self._seen[-1][0] >= now_ns - WINDOW_NS // 2

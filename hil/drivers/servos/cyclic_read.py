@@ -4,7 +4,8 @@ Now and then it makes a full read: the same exchange also returns torque, watchd
 which takes a fifth of a millisecond more on the wire instead of two exchanges of their own.
 
 A servo that misses a read moves to the end of the list, so that an answer that breaks off at it loses no
-other servo; after three misses it leaves the list and is polled alone now and then. So a dead servo costs one
+other servo, and stays there until none has missed a read for a while: one that answers every second time costs
+only itself. After three misses it leaves the list and is polled alone now and then. So a dead servo costs one
 short timeout at a time, never the whole group. When no servo answers, the fault is in the bus or in the
 first servo: another servo leads the next read, which shows which of the two it is.
 """
@@ -24,6 +25,8 @@ from hil.drivers.servos.register_map import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVE
 
 _DEAD_AFTER = 3
 _AGE_NS = 2_500_000
+_REORDERED_NS = nanoseconds(1.0)
+"""Time without a miss after which the list has its first order again."""
 _ALL = tuple(range(8))
 _NONE_MISSED = [0] * 8
 _FULL_LEVELS = (FULL_LEVEL,) * 8
@@ -93,7 +96,7 @@ class CycleReader:
         self._slack_ns = nanoseconds(config.reply_slack_s)
         self._poll_ns = nanoseconds(config.dead_poll_s)
         self._order = list(_ALL)
-        self._missed = list(_NONE_MISSED)
+        self._missed, self._missed_ns = list(_NONE_MISSED), 0
         self._dead: dict[int, int] = {}
         self._cycle = _Kind(registers.cycle_address, CYCLE_FIELDS)
         self._full = (
@@ -231,10 +234,12 @@ class CycleReader:
         for j in order:
             if j not in silent:
                 self._missed[j] = 0
+        now_ns = self._clock.now_ns()
         if not silent:
-            if not self._dead and self._order != list(_ALL):
+            if not self._dead and now_ns - self._missed_ns > _REORDERED_NS:
                 self._order = list(_ALL)
             return
+        self._missed_ns = now_ns
         if len(silent) == len(order) > 1:
             self._order = list(_with_last(order, order[0]))
             return
@@ -275,7 +280,7 @@ class CycleReader:
         for j in revived:
             del self._dead[j]
             self._missed[j] = 0
-            self._order = sorted([*self._order, j])
+            self._order.append(j)
         return self._reading(kind, exchange, answers, tuple(revived))
 
     def _ask_spoilt_alone(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> None:
