@@ -11,6 +11,7 @@ from hil.bench.hold.motion_since_stop import JOINTS, MotionSinceStop
 from hil.core.device import DeviceKind
 from hil.core.errors import SafetyStop
 from hil.core.signals import SERVOS
+from hil.devices.mocap import KIND as MOCAP_KIND
 from hil.devices.servos import KIND as SERVO_KIND
 from hil.devices.tracker import KIND as CAMERA_KIND
 from hil.robot.trajectories import line
@@ -261,6 +262,33 @@ def test_wheels_tell_the_way_where_nothing_slides():
     assert seen.moved_m(set(), slides=False) is None
 
 
+@pytest.mark.parametrize(
+    ("camera_m", "mocap_m", "moved_m"),
+    [(0.002, 0.003, 0.003), (0.015, 0.016, 0.02), (0.0, 0.012, 0.02), (0.04, 0.041, 0.041)],
+)
+def test_wheels_against_two_who_agree_do_not_count(camera_m, mocap_m, moved_m):
+    """In the second case the difference is small, in the third the two do not agree."""
+    seen = MotionSinceStop({JOINTS: SERVO_KIND, "tracker": CAMERA_KIND, "mocap": MOCAP_KIND}, 0.05)
+    ways = {JOINTS: np.array([0.4] * 4 + [0.0] * 4), "tracker": [camera_m, 0, 0], "mocap": [mocap_m, 0, 0]}
+    for name, way in ways.items():
+        seen.passed(name, 1_000_000_000, np.zeros(len(way)))
+    seen.stopped(1_000_000_000)
+    for name, way in ways.items():
+        for k in range(5):
+            seen.saw(name, 1_020_000_000 + k, np.array(way))
+    assert seen.moved_m(ways, slides=True) == pytest.approx(moved_m)
+    assert seen.moved_m({JOINTS, "tracker"}, slides=True) == pytest.approx(max(camera_m, 0.02))
+
+
+def test_servos_with_old_data_do_not_say_how_far_it_has_moved():
+    """The wheels seem to turn for 0.3 s after the stop, and are named."""
+    held, stop, moved_m, _ = left("servos:delayed@2,delay_s=0.3", seed=8137)
+    assert stop.reason == "servo_jump"
+    assert held.state == "HELD"
+    assert "the servos show" in held.why
+    assert held.moved_m == pytest.approx(moved_m, abs=0.003)
+
+
 def test_a_witness_that_did_not_see_the_stop_says_nothing_of_the_way():
     seen = travel()
     seen.passed("tracker", 1_000_000_000, np.zeros(3))
@@ -286,7 +314,7 @@ def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(se
 
 
 def test_a_servo_that_answers_every_other_read_is_named_and_held():
-    """It is seen at rest with torque often enough; the propellers' time at rest goes on while it is silent."""
+    """It is seen at rest with torque often enough; the observation goes on while it is silent."""
     way = line((0, 0, 0), (0.04, 0, 0), duration_s=1.2)
     fault = "servo.drive_FL:intermittent@1,period_s=0.02,duty=0.5"
     held, stop, moved_m, speed_m_s = left(fault, seed=8151, way=way)

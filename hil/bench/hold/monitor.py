@@ -315,6 +315,9 @@ class HoldMonitor(Sink):
         if moved_m is None and state == "NOT HELD":  # if it is lost: its last measured displacement
             last_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
             moved_m = last_m if last_m is not None and last_m > _MOVED_M else None
+        if rolled_m := self._travel.outvoted_m(self._believed(seen)):
+            way = f"{1e3 * rolled_m:.1f} mm since the stop"
+            why += f"; the servos show {way} and do not count: their data are old, or the wheels slip"
         if state == "HELD" and moved_m is None:
             why += "; how far it has moved since the stop was not measured"
         no_floor = self._doubt_of_floor()

@@ -26,6 +26,8 @@ _LEAST = 4
 _FRESH_NS = nanoseconds(0.05)
 _FINE_M = 0.001
 """A sensor with less noise than this at rest counts any displacement; a coarser one only beyond its noise."""
+_OUTVOTED_M = 0.005
+"""Difference to position sensors, which agree with each other, from which the wheels do not count."""
 _MEAN_OF = 5
 """Samples that are averaged against a camera's noise: 25 ms."""
 
@@ -186,6 +188,20 @@ class MotionSinceStop:
             moved_m = float(np.linalg.norm(moved))
         self._farthest_m[name] = max(self._farthest_m.get(name, 0.0), moved_m)
 
+    def outvoted_m(self, believed: Collection[str]) -> float:
+        """Displacement by the wheels where two position sensors agree on much less, m; else 0.
+
+        The wheels slip, or the servos' data are old: then the wheels seem to turn after the stop.
+
+        Args:
+            believed: names of the trusted sensors.
+        """
+        found = {name: far_m for name, far_m in self._farthest_m.items() if name in believed}
+        wheels_m = found.pop(JOINTS, 0.0)
+        most_m, least_m = max(found.values(), default=0.0), min(found.values(), default=0.0)
+        sure = len(found) > 1 and most_m - least_m < _OUTVOTED_M < wheels_m - most_m
+        return wheels_m if sure else 0.0
+
     def moved_m(self, believed: Collection[str], *, slides: bool) -> float | None:
         """Farthest displacement by any sensor, m; None where that is unknown, or within the noise.
 
@@ -200,6 +216,8 @@ class MotionSinceStop:
         }
         if slides and not reported.keys() - {JOINTS}:
             return None
+        if self.outvoted_m(believed):
+            del reported[JOINTS]
         return max(reported.values(), default=None)
 
 

@@ -4,7 +4,7 @@ Now and then it makes a full read: the same exchange also returns torque, watchd
 which takes a fifth of a millisecond more on the wire instead of two exchanges of their own.
 
 A servo that misses a read moves to the end of the list, so that an answer that breaks off at it loses no
-other servo, and stays there until none has missed a read for a while: one that answers every second time costs
+other servo, and stays there until none has missed a read for a while: one that answers every other read costs
 only itself. After three misses it leaves the list and is polled alone now and then. So a dead servo costs one
 short timeout at a time, never the whole group. When no servo answers, the fault is in the bus or in the
 first servo: another servo leads the next read, which shows which of the two it is.

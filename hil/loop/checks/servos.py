@@ -89,7 +89,7 @@ class ServoCheck(Check):
             self._check_turning(angles, inputs.t_ns, stop)
             self._check_steps(sample, angles, outside, events)
         if self._slipped is not None and inputs.t_ns - self._slipped[0] > _REPORT_NS:
-            stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
+            stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast: slipped encoder, or old values")
 
     def _check_goals(self, inputs: Inputs, events: list[Event]) -> None:
         """Report goals that the driver has clipped."""
