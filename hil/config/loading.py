@@ -309,7 +309,10 @@ def _reason(item: Any) -> str:
     if item["type"] == "extra_forbidden":
         *above, key = tables
         known = ", ".join(kinds())
-        near = did_you_mean(str(key), _keys(item["loc"][:-1]))
+        keys = _keys(item["loc"][:-1])
+        near = did_you_mean(str(key), keys)
+        if {"interface", "options"} <= set(keys) and not near:
+            near = f"an option of the python-can interface belongs to [{'.'.join(map(str, above))}.options]"
         table = above in ([], ["emulation"]) and isinstance(item["input"], Mapping)
         device = f"no device or table of that name (devices: {known}); install the package that adds it, or "
         return f"unknown key; {near or (device if table else '') + 'remove it or check the spelling'}"

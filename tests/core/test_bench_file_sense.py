@@ -35,6 +35,7 @@ def test_a_zero_that_leaves_a_wheel_less_than_its_range_is_refused(zero_rad):
     ("path", "value", "reported"),
     [
         ("safety.wheel_rate_limit_rad_s", 7.5, "XH430"),
+        ("encoders.port", 43113, "belongs to [encoders.options]"),
         ("safety.steering_limit_rad", 2.7, "servos.steer_limit_rad = 2.618"),
         ("safety.wheel_rate_limit_rad_s", 6.0, "servos.velocity_limit_rad_s = 4.9"),
         ("control.steering_limit_rad", 2.2, "safety.steering_limit_rad = 2.0944"),
