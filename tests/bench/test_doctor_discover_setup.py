@@ -82,16 +82,16 @@ def opened_at_s():
 
 
 @pytest.mark.parametrize(
-    ("device", "kind", "check"),
+    ("device", "kind", "options", "check"),
     [
-        ("imu", "garbage", "samples"),
-        ("mocap", "off", "tracking"),
-        ("servos", "drop", "samples"),
-        ("tracker", "off", "samples"),
+        ("imu", "garbage", "", "samples"),
+        ("mocap", "off", "", "tracking"),
+        ("servos", "drop", ",probability=0.5", "samples"),
+        ("tracker", "off", "", "samples"),
     ],
 )
-def test_a_device_that_falls_ill_while_it_is_read_is_named(capsys, opened_at_s, device, kind, check):
-    fault = f"{device}:{kind}@{opened_at_s[device]}"
+def test_a_device_that_falls_ill_while_it_is_read_is_named(capsys, opened_at_s, device, kind, options, check):
+    fault = f"{device}:{kind}@{opened_at_s[device]}{options}"
     code, result = doctor(capsys, "--fault", fault)
     assert code == 3
     assert levels(result)[device, check] == "failure"
