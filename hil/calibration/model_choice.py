@@ -84,7 +84,7 @@ class Choice:
         """One sentence for a report."""
         named, order = self.best.name, sorted(self.held_out_m.items(), key=lambda found: found[1])
         others = ", ".join(f"{name} {1e3 * m:.2f} mm" for name, m in order if name != named)
-        clear = "clear" if self.confidence > _CLEARLY else "no clear choice, of two alike the simpler one"
+        clear = "clear" if self.confidence > _CLEARLY else "no clear choice, the most probable one is taken"
         return (
             f"Forward model by held-out recordings (errors at the wheels): {named}, "
             f"{1e3 * self.held_out_m[named]:.2f} mm; {others}. Its law is the right one of these with "

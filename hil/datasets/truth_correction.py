@@ -21,6 +21,14 @@ _FAST, _STDS = 5e-4, 4.0
 _HEADING_RAD, _HEADING_STD_RAD, _OTHER_RAD, _FAR_RAD = 0.03, 0.01, 0.06, 1.0
 _REVERSE_RAD = 2.6
 _CENTRE_M, _CENTRE_STD_M, _OTHER_M = 0.01, 3e-3, 0.02
+_DRIFT_RAD_S, _DRIFT_STD_RAD_S, _SKEW, _SKEW_STD = 1.5e-3, 2.5e-3, 0.01, 0.01
+_SCALE, _SCALE_STD = 0.03, 0.005
+_WOBBLE_S, _WOBBLE_STDS = 0.04, 2.0
+EITHER_SCALE = (
+    "either its positions are scaled so, or all wheel radii are (and the distances of the wheels, if turns "
+    "fit); recordings cannot tell these apart"
+)
+"""Causes of distances that differ by a factor."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,9 @@ def corrected(recordings: Sequence[Recording]) -> list[Recording]:
     0.05 %, a heading from 0.03 rad, a centre from 10 mm. A heading that is 0.06 rad from that of most other
     recordings, or a centre that is 20 mm from theirs, is of another body: `contradictions` say so. A heading
     that is more than a radian off is not corrected, it contradicts; half a turn is left to `wrong_signs`.
+    What is no clock, heading or centre is not corrected either: axes of another scale or sheared by 2 %,
+    a heading that drifts by 1.5 mrad/s, a clock that runs unevenly by 0.04 s. Each has to be four times its
+    standard error, the last one twice in most recordings.
     """
     fits = [None if one.contradictions else truth_fit(one) for one in recordings]
     found = _common(recordings, fits)
@@ -88,10 +99,54 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
             f"its ground truth moves {_angle(-heading_rad)} beside the direction in which the wheels roll: "
             "set the heading of its body, or mount_rotation_wxyz of [truth]; or x and y are exchanged",
         )
+    if contradiction := contradiction or _beyond(known):
+        return _Found([False] * len(fits), 0.0, typical_rad, 0.0, 0j, (), contradiction)
     if far:
         heading_rad, centre_m = 0.0, 0j
     notes += _of_body(heading_rad, by_ways, complex(centre_m * np.exp(1j * heading_rad)), by_turns)
+    notes += _of_scale([fit.scale for fit in known if fit.scale_std < _SCALE_STD])
     return _Found(late, fast, typical_rad, heading_rad, centre_m, notes, contradiction)
+
+
+def _beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
+    """What is wrong with the ground truth of a set that no clock, heading or centre explains, in words."""
+    out = []
+    skew = _significant([(fit.skew, fit.skew_std) for fit in known], _SKEW, _SKEW_STD)
+    drift_rad_s = _significant(
+        [(complex(fit.drift_rad_s), fit.drift_std_rad_s) for fit in known], _DRIFT_RAD_S, _DRIFT_STD_RAD_S
+    ).real
+    uneven_s = [
+        fit.wobble_s for fit in known if fit.wobble_s > max(_WOBBLE_S, _WOBBLE_STDS * fit.wobble_std_s)
+    ]
+    if skew:
+        out.append(
+            f"lengths in its ground truth depend on their direction, by {200 * abs(skew):.1f} % (paths on "
+            "which the body turns): one axis has another scale, or the axes are not at right angles; "
+            "calibrate the capture system again"
+        )
+    if drift_rad_s:
+        out.append(
+            f"the heading of its ground truth drifts by {drift_rad_s:.4f} rad/s from that of the wheels, at "
+            "rest as well; look at what gives the heading (a gyroscope, markers that come loose)"
+        )
+    if 2 * len(uneven_s) > len(known):
+        out.append(
+            f"the clock of its ground truth runs unevenly, by about {_typical(uneven_s):.2f} s in a "
+            "recording (neither a delay nor a stretch); stamp both logs by one clock"
+        )
+    return tuple(out)
+
+
+def _significant(measured: Sequence[tuple[complex, float]], least: float, std: float) -> complex:
+    """Mean, by weight, of values known to `std`; 0 where it is below `least` or four standard errors."""
+    weights = [(value, own**-2) for value, own in measured if 0.0 < own < std]
+    if not weights:
+        return 0j
+    total = sum(weight for _, weight in weights)
+    typical = complex(*(_typical([part(v) for v, _ in weights]) for part in (np.real, np.imag)))
+    mean = sum(value * weight for value, weight in weights) / total
+    sure = min(abs(mean), abs(typical)) >= max(least, _STDS * total**-0.5)
+    return mean if sure else 0j
 
 
 def _corrected(one: Recording, fit: TruthFit | None, late: bool, found: _Found) -> Recording:
@@ -204,6 +259,16 @@ def _of_body(heading_rad: float, by_ways: int, centre_m: complex, by_turns: int)
             "corrected; set the pivot of its body there, or mount_position_m of [truth]"
         )
     return tuple(out)
+
+
+def _of_scale(scales: Sequence[float]) -> tuple[str, ...]:
+    scale = _typical(scales) if scales else 1.0
+    if abs(scale - 1.0) < _SCALE:
+        return ()
+    return (
+        f"by ground truth the robot goes {scale:.3f} times as far as its wheels roll ({len(scales)} "
+        f"recordings): {EITHER_SCALE}. Nothing is corrected: measure a path with a tape",
+    )
 
 
 def _angle(angle_rad: float) -> str:

@@ -44,6 +44,15 @@ class TruthFit:
         heading_std_rad: standard error of `heading_rad`.
         centre_m: tracked point (x + iy) in the frame of the body of the ground truth.
         centre_std_m: standard error of its two coordinates, the larger one.
+        scale: distance by ground truth over distance by wheels.
+        scale_std: standard error of `scale`.
+        drift_rad_s: rate at which the heading of the ground truth drifts from that of the wheels.
+        drift_std_rad_s: standard error of `drift_rad_s`.
+        skew: share by which the axes of the ground truth differ in scale (real part) or are sheared
+            (imaginary part), both halved.
+        skew_std: standard error of its two parts, the larger one.
+        wobble_s: largest delay that is no stretch of the clock, about the middle of the recording.
+        wobble_std_s: standard error of `wobble_s`.
     """
 
     late_s: float
@@ -53,6 +62,14 @@ class TruthFit:
     heading_std_rad: float
     centre_m: complex
     centre_std_m: float
+    scale: float
+    scale_std: float
+    drift_rad_s: float
+    drift_std_rad_s: float
+    skew: complex
+    skew_std: float
+    wobble_s: float
+    wobble_std_s: float
 
 
 def truth_fit(recording: Recording) -> TruthFit | None:
@@ -97,11 +114,24 @@ def _found(recording: Recording) -> TruthFit | None:
     if np.linalg.norm(left) > _UNEXPLAINED * np.linalg.norm(wanted):
         return None
     overlap = max(1.0, _WINDOW_S / float(np.median(np.diff(begin_s, append=end_s[-1]))))
-    spread = _OVERLAP * overlap * float(np.mean(left**2))
-    information = (rows / size).T @ (rows / size)
-    std = np.sqrt(spread * np.diag(np.linalg.inv(information + 1e-9 * np.eye(len(x))))) / size
+    std = _errors(rows, left, overlap)
     if turned[1] < -_STDS * std[4]:
         return None
+    heading = np.interp(begin_s, at_s, pose[:, 2])
+    share = 2.0 * since / float(at_s[-1] - at_s[0])
+    curved = [1.5 * share**2 - 0.5, 2.5 * share**3 - 1.5 * share]
+    skewed = np.conj(turned[0] * u * np.exp(2j * heading))
+    translation = np.stack(
+        [-1j * since * turned[0] * u, skewed, 1j * skewed, *(du * c for c in curved), none, none], axis=1
+    )
+    turning = lever * np.stack(
+        [end_s - begin_s, none, none, *(dv * c for c in curved), u.real, u.imag], axis=1
+    )
+    more_rows = np.concatenate([translation.real, translation.imag, turning]) * np.tile(seen, 3)[:, None]
+    every = np.hstack([more_rows, rows])
+    size = np.maximum(np.linalg.norm(every, axis=0), _LEAST)
+    more = np.linalg.lstsq(every / size, wanted, rcond=1e-6)[0] / size
+    more_std = _errors(every, wanted - every @ more, overlap)
     return TruthFit(
         late_s,
         fast,
@@ -110,7 +140,23 @@ def _found(recording: Recording) -> TruthFit | None:
         float(std[3] / max(abs(turned[0]), _LEAST)),
         complex(x[5], x[6]),
         float(max(std[5:7])),
+        abs(turned[0]),
+        float(std[2]),
+        float(more[0]),
+        float(more_std[0]),
+        complex(more[1], more[2]),
+        float(max(more_std[1:3])),
+        float(np.hypot(*more[3:5])),
+        float(max(more_std[3:5])),
     )
+
+
+def _errors(rows: Array, left: Array, overlap: float) -> Array:
+    """Standard errors (k,) of the coefficients of rows (n, k) that leave (n,), where moves overlap."""
+    size = np.maximum(np.linalg.norm(rows, axis=0), _LEAST)
+    information = (rows / size).T @ (rows / size) + 1e-9 * np.eye(len(size))
+    spread = _OVERLAP * overlap * float(np.mean(left**2))
+    return np.asarray(np.sqrt(spread * np.diag(np.linalg.inv(information))) / size, dtype=np.float64)
 
 
 def _known_from_to(recording: Recording) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from hil.robot.kinematics import twist_of_vectors, wheel_vectors
 
 Rows = npt.NDArray[np.int_]
 
-_NOISE_M, _NOISE_RAD, _NOISE_STEPS = 0.03, 0.02, 10.0
+_NOISE_M, _NOISE_RAD, _NOISE_STEPS = 0.005, 0.02, 10.0
 _TIMES_FASTER, _TURNS_MORE = 5.0, 1.5
 _BRIEF_S = 0.5
 _GRID_S = 0.1
@@ -103,7 +103,7 @@ def find_jumps(t_s: Array, pose: Array, wheels: WheelMotion) -> TruthJumps:
     """Find jumps in poses, relative to the longest part without one.
 
     A step of the position is possible if it is at most five times the way of the fastest wheel meanwhile
-    and 30 mm. A step of the heading is possible if it, or its difference to the wheels' turn, is at most one
+    and 5 mm. A step of the heading is possible if it, or its difference to the wheels' turn, is at most one
     and a half times what the wheels turn at that time (half a second earlier or later) and 0.02 rad. Both
     bounds are ten typical steps at least, so that noise and wrong units are not mistaken for jumps.
 

@@ -94,7 +94,7 @@ def test_one_row_in_a_hundred_is_no_reason_to_blame_the_geometry():
     np.testing.assert_allclose(found.fit.solution.z, clean.fit.solution.z, rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.parametrize("by_m", [0.05, 5.0])
+@pytest.mark.parametrize("by_m", [0.012, 0.05, 5.0])
 def test_a_leap_that_lasts_contradicts_the_recording_and_has_its_time(by_m):
     clean, spoilt = line(shift(slice(1100, None), by_m))
     assert len(spoilt.truth_pose) == len(clean.truth_pose)

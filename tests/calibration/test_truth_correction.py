@@ -1,16 +1,20 @@
 """Ground truth is corrected where wheels and truth measure the cause: clock, heading, centre of its body."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hil.calibration.evaluation import position_rmse, track
+from hil.calibration.excitation import mismatch
 from hil.calibration.synthetic import OTHER_MOTIONS, HiddenRobot, hidden_robot, make_set
 from hil.cli import main
 from hil.core.errors import DataError
+from hil.datasets.blocks import reduce_recordings
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import build_recording
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.truth_correction import corrected, notes_of
 from hil.datasets.truth_fit import truth_fit
@@ -202,3 +206,62 @@ def test_clocks_years_apart_are_refused_with_their_distance(data):
     with pytest.raises(DataError, match=r"54.* years\) after the wheels") as raised:
         build_recording("a", Log(one.t_s, wheels), Log(one.truth_t_s + 1.7147e9, one.truth_pose))
     assert "1714700000" in raised.value.remedy
+
+
+def stretched(one, matrix):
+    pose = one.truth_pose.copy()
+    pose[:, :2] = pose[:, :2] @ np.transpose(matrix)
+    return replace(one, truth_pose=pose)
+
+
+def drifting(one, rate_rad_s):
+    drift = rate_rad_s * (one.truth_t_s - one.truth_t_s[0])
+    return replace(one, truth_pose=one.truth_pose + np.outer(drift, [0.0, 0.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (lambda one: stretched(one, [[1.0, 0.0], [0.0, 1.05]]), r"depend on their direction, by [45]\.\d %"),
+        (lambda one: stretched(one, [[1.0, 0.1], [0.0, 1.0]]), r"depend on their direction, by (9|10)\.\d %"),
+        (lambda one: drifting(one, 0.004), r"drifts by 0\.00[34]\d rad/s"),
+        (lambda one: drifting(one, -0.004), r"drifts by -0\.00[34]\d rad/s"),
+    ],
+    ids=["one axis longer", "sheared", "drift", "drift back"],
+)
+def test_what_no_clock_heading_or_centre_explains_is_refused_as_what_it_is(perfect, spoil, named):
+    found = corrected([spoil(one) for one in perfect])
+    assert notes_of(found) == []
+    for one in found:
+        (said,) = one.contradictions
+        assert re.search(named, said), said
+
+
+def test_a_clock_that_runs_unevenly_is_no_stretch():
+    """Shown by a motion that stops on its way."""
+    robot = HiddenRobot(CAD, np.ones(4))
+    scans = make_set(robot, 6, ("scan",), 2, run_to_run=0.0, slip_share=0)
+    found = corrected([late(one, 0.06 * np.sin(one.truth_t_s / 3.0)) for one in scans])
+    assert notes_of(found) == []
+    assert all("runs unevenly" in one.contradictions[0] for one in found)
+    assert corrected(scans) == scans
+
+
+@pytest.mark.parametrize("scale", [0.95, 1.05])
+def test_a_scale_of_all_positions_is_said_with_both_causes(perfect, scale):
+    (line,) = notes_of(corrected([stretched(one, scale * np.eye(2)) for one in perfect]))
+    assert float(re.search(r"goes (\d\.\d+) times", line)[1]) == pytest.approx(scale, abs=0.004)
+    assert "radii" in line
+
+
+def test_a_scale_that_no_radius_can_have_is_refused_and_noise_is_no_distance(perfect):
+    def found(recordings):
+        return mismatch(reduce_recordings(recordings, 0.1), Nominal())
+
+    assert "went 1.10 times as far" in found([stretched(one, 1.1 * np.eye(2)) for one in perfect])
+    rng = np.random.default_rng(5)
+    noisy = [
+        replace(one, truth_pose=one.truth_pose + rng.normal(0, [3e-3, 3e-3, 4e-3], one.truth_pose.shape))
+        for one in perfect
+    ]
+    assert found(noisy) == ""
