@@ -117,17 +117,10 @@ def _found(recording: Recording) -> TruthFit | None:
     std = _errors(rows, left, overlap)
     if turned[1] < -_STDS * std[4]:
         return None
-    heading = np.interp(begin_s, at_s, pose[:, 2])
-    share = 2.0 * since / float(at_s[-1] - at_s[0])
-    curved = [1.5 * share**2 - 0.5, 2.5 * share**3 - 1.5 * share]
-    skewed = np.conj(turned[0] * u * np.exp(2j * heading))
-    translation = np.stack(
-        [-1j * since * turned[0] * u, skewed, 1j * skewed, *(du * c for c in curved), none, none], axis=1
-    )
-    turning = lever * np.stack(
-        [end_s - begin_s, none, none, *(dv * c for c in curved), u.real, u.imag], axis=1
-    )
-    more_rows = np.concatenate([translation.real, translation.imag, turning]) * np.tile(seen, 3)[:, None]
+    heading, share = np.interp(begin_s, at_s, pose[:, 2]), 2.0 * since / float(at_s[-1] - at_s[0])
+    translation, turning = _unlike_rows(turned[0] * u, (du, dv), heading, (since, share), end_s - begin_s)
+    more_rows = np.concatenate([translation.real, translation.imag, lever * turning])
+    more_rows *= np.tile(seen, 3)[:, None]
     every = np.hstack([more_rows, rows])
     size = np.maximum(np.linalg.norm(every, axis=0), _LEAST)
     more = np.linalg.lstsq(every / size, wanted, rcond=1e-6)[0] / size
@@ -149,6 +142,26 @@ def _found(recording: Recording) -> TruthFit | None:
         float(np.hypot(*more[3:5])),
         float(max(more_std[3:5])),
     )
+
+
+def _unlike_rows(
+    u: npt.NDArray[np.complex128], speeds: Moves, heading: Array, at: tuple[Array, Array], lasts_s: Array
+) -> tuple[npt.NDArray[np.complex128], Array]:
+    """Translations and turns (n, 7): drift, skew (2), bends of the clock (2), turns by slip (2).
+
+    Args:
+        u: (n,) translations as the wheels say, in the frame of the body.
+        speeds: (n,) derivatives of translations and turns by the delay.
+        heading: (n,) heading of the ground truth at the begin of the moves, rad.
+        at: (n,) times from the middle of the recording, s, and the same as shares of its half.
+        lasts_s: (n,) lengths of the moves, s.
+    """
+    (du, dv), (since, share), none = speeds, at, np.zeros(len(u))
+    bends = (1.5 * share**2 - 0.5, 2.5 * share**3 - 1.5 * share)
+    skewed = np.conj(u * np.exp(2j * heading))
+    translations = [-1j * since * u, skewed, 1j * skewed, *(du * bend for bend in bends), none, none]
+    turns = [lasts_s, none, none, *(dv * bend for bend in bends), u.real, u.imag]
+    return np.stack(translations, axis=1), np.stack(turns, axis=1)
 
 
 def _errors(rows: Array, left: Array, overlap: float) -> Array:
