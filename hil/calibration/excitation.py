@@ -17,7 +17,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
 from hil.datasets.blocks import Blocks
 from hil.datasets.nominal_robot import Nominal, lever_m
-from hil.datasets.truth_correction import EITHER_SCALE
+from hil.datasets.truth_correction import EITHER_SCALE, FAR
 from hil.datasets.wrong_signs import CHECK_COLUMNS
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
@@ -25,7 +25,7 @@ from hil.robot.odometry import integrate
 DIRECTIONS = ("forward", "sideways", "turning")
 _SHARE, _OWN_SHARE = 0.05, 0.2
 _WORTH_M, _WORTH_RAD = 0.3, 1.0
-_FAR, _MUCH, _CHORD_M = 0.08, 0.2, 0.1
+_MUCH, _CHORD_M = 0.2, 0.1
 BENCH_FILE = "name the robot's bench file with --bench, or correct its [robot] section"
 OTHER_ROBOT = f"{BENCH_FILE}; else {CHECK_COLUMNS}"
 """Remedy where distances do not fit the robot: check the geometry first, then the columns."""
@@ -115,12 +115,12 @@ def mismatch(blocks: Blocks, nominal: Nominal) -> str:
     turn = np.diff(truth[..., 2], axis=1) * blocks.real
     far = _ratio(by_truth, by_wheels, _WORTH_M)
     much = _ratio(np.abs(turn.sum(axis=1)), np.abs(step[..., 2].sum(axis=1)), _WORTH_RAD)
-    wrong = [f"went {far:.2f} times as far"] if abs(far - 1.0) > _FAR else []
+    wrong = [f"went {far:.2f} times as far"] if abs(far - 1.0) > FAR else []
     wrong += [f"turned {much:.2f} times as much"] if abs(much - 1.0) > _MUCH else []
     if not wrong:
         return ""
     found = f"by ground truth the robot {' and '.join(wrong)} as its wheels say"
-    if abs(far - 1.0) > _FAR:
+    if abs(far - 1.0) > FAR:
         found += f" ({EITHER_SCALE})"
     return f"{found}; {nominal.in_words()}"
 
@@ -150,7 +150,7 @@ def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
         raise DataError(
             "",
             f"the geometry does not fit the recordings: {found}",
-            expected=f"agreement within {100 * _FAR:.0f} % (turns: {100 * _MUCH:.0f} %)",
+            expected=f"agreement within {100 * FAR:.0f} % (turns: {100 * _MUCH:.0f} %)",
             remedy=OTHER_ROBOT,
         )
 

@@ -24,6 +24,8 @@ _CENTRE_M, _CENTRE_STD_M, _OTHER_M = 0.01, 3e-3, 0.02
 _DRIFT_RAD_S, _DRIFT_STD_RAD_S, _SKEW, _SKEW_STD = 1.5e-3, 2.5e-3, 0.01, 0.01
 _SCALE, _SCALE_STD = 0.03, 0.005
 _WOBBLE_S, _WOBBLE_STDS = 0.04, 2.0
+FAR = 0.08
+"""Share by which distances may differ; beyond it the geometry is that of another robot."""
 EITHER_SCALE = (
     "either its positions are scaled so, or all wheel radii are (and the distances of the wheels, if turns "
     "fit); recordings cannot tell these apart"
@@ -263,7 +265,7 @@ def _of_body(heading_rad: float, by_ways: int, centre_m: complex, by_turns: int)
 
 def _of_scale(scales: Sequence[float]) -> tuple[str, ...]:
     scale = _typical(scales) if scales else 1.0
-    if abs(scale - 1.0) < _SCALE:
+    if not _SCALE <= abs(scale - 1.0) <= FAR:
         return ()
     return (
         f"by ground truth the robot goes {scale:.3f} times as far as its wheels roll ({len(scales)} "

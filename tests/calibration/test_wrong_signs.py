@@ -203,7 +203,7 @@ def test_a_calibration_that_explains_nothing_is_not_written(tmp_path, capsys, go
     out = tmp_path / "calibration.toml"
     files = [tmp_path / f"{one.name}.csv" for one in good]
     for file, one in zip(files, good, strict=True):
-        write_plain(file, replace(one, truth_pose=0.85 * one.truth_pose))
+        write_plain(file, replace(one, truth_pose=one.truth_pose * [1.0, 1.0, 0.85]))
     assert main(["calibrate", *map(str, files), "--no-validation", "--json", "--out", str(out)]) == 1
     reported = capsys.readouterr()
     found = json.loads(reported.out)
