@@ -191,6 +191,7 @@ def _build(
         raise _apart(where, float(truth_t_s[0] - t_s[0]), float(end_s - begin_s))
     for stamps in (t_s, truth_t_s):
         check_stamp_jumps(where, stamps)
+    counted = w[:, 4:8]
     fresh, w = without_held(t_s, w, repairs)
     t_s, w, receive_s = t_s[fresh], w[fresh], receive_s[fresh]
     rate = recorded_rates(w, repairs)
@@ -228,7 +229,7 @@ def _build(
     check_units(
         where,
         angle[shared],
-        raw[shared],
+        counted,
         truth_t_s[truth_shared],
         pose[truth_shared],
         heading[truth_shared],

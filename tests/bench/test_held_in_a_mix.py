@@ -77,6 +77,7 @@ def test_who_is_in_the_servos_world_does_without_the_others(monkeypatch):
     assert bench.held.state == "HELD"
     assert bench.held.moved_m < 0.005
     assert "N by the fan's speed" in bench.held.why
+    assert not bench.held.confirmed
     assert not [who for who in ("IMU", "camera", "load cells") if who in bench.held.why]
 
 
@@ -110,7 +111,7 @@ def test_a_drive_past_blind_sensors_is_reported_before_it_moves(monkeypatch, tmp
     result = run_procedure(proc, BenchSource("emulated", overrides=BRIEFLY), options)
     said = "camera: in another world than the servos"
     assert sum(said in record.getMessage() for record in caplog.records) == 1, "once, and of no load cells"
-    assert sum(note.startswith(said) for note in result.facts["notes"]) == 1
+    assert sum(row["what"].startswith(said) for row in result.facts["events"]) == 1
 
 
 def test_real_servos_beside_emulated_sensors_are_not_held_by_them():

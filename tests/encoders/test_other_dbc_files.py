@@ -90,7 +90,10 @@ class OtherNode:
         self._channel, self._sampled = channel, {}
         self._message = cantools.database.load_string(text, "dbc").messages[0]
 
-    def transmit(self, frame_id, data, t_ns):
+    def __getattr__(self, name):
+        return getattr(self._channel, name)
+
+    def transmit(self, frame_id, data, t_ns, **options):
         if frame_id not in (416, 417):
             return
         self._sampled |= SHIPPED.decode_message(frame_id, data, scaling=False)
@@ -104,7 +107,7 @@ class OtherNode:
             }
             frame = self._message.encode({n: values[n] for n in shown}, scaling=False)
             extended = self._message.is_extended_frame
-            self._channel.transmit(self._message.frame_id, frame, t_ns, extended=extended)
+            self._channel.transmit(self._message.frame_id, frame, t_ns, extended=extended, **options)
 
 
 @pytest.mark.parametrize("frame_id", [0x1A0, 0x1A0 | EXTENDED, 0x12345 | EXTENDED])

@@ -51,7 +51,8 @@ def test_the_servos_own_angles_turn_the_wheels_as_the_bench_understands_them(see
         "steer_sign": [draw.choice((1, -1)) for _ in WHEELS],
         "steer_zero_rad": [draw.uniform(-1, 1) for _ in WHEELS],
     }
-    config = load_bench("emulated", overrides={f"alignment.{k}": v for k, v in aligned.items()})
+    overrides = {"servos.steer_limit_rad": 3.1, **{f"alignment.{k}": v for k, v in aligned.items()}}
+    config = load_bench("emulated", overrides=overrides)
     nominal = WheelGeometry.nominal().vector()
     geometry = WheelGeometry.from_vector(nominal + [draw.uniform(-0.01, 0.01) for _ in nominal])
     raw = np.array([draw.uniform(-3, 3) for _ in SERVOS])

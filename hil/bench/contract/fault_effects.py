@@ -47,7 +47,8 @@ def each_fault_acts(subject: Subject) -> str:
 
 def _declared(subject: Subject) -> tuple[str, ...]:
     world = subject.bench.world
-    return () if world is None else tuple(world.faults.supported.get(subject.kind, ()))
+    found = () if world is None else world.faults.supported.get(subject.kind, ())
+    return tuple(fault for fault in found if fault not in _BORNE)
 
 
 def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Samples:
@@ -70,7 +71,12 @@ def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Samples:
     return tuple(reported)
 
 
-_SURELY = {kind: ",probability=1" for kind in ("drop", "corrupt", "truncate", "duplicate")}
+_SURELY = {
+    **{kind: ",probability=1" for kind in ("drop", "corrupt", "truncate")},
+    "pieces": ",size=1,gap_s=0.01",
+}
+_BORNE = ("duplicate",)
+"""Faults that a sound driver bears unseen."""
 
 
 def _watched(bench: Bench, kind: str) -> Iterator[Any]:

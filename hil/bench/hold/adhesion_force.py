@@ -85,6 +85,7 @@ class AdhesionForceCheck:
         carried: whether such propellers carry a robot that can fall.
         pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
         push_keys: keys of the bench file that scale the propellers' push.
+        blind: devices that are in another world than the servos: they do not measure this robot.
 
     Attributes:
         heading_rad: last estimated heading of the body.
@@ -101,8 +102,10 @@ class AdhesionForceCheck:
         carried: bool = False,
         pretended: Sequence[str] = (),
         push_keys: Sequence[str] = (),
+        blind: Sequence[str] = (),
     ) -> None:
         self._rig, self._limits, self._pretended = rig, limits, tuple(pretended)
+        self._measures = tuple(name for name in MEASURES if name not in blind)
         self._outlasts_ns = nanoseconds(RUN_DOWN_S + (0.0 if fan is None else fan.timeout_s))
         self._stale_ns = 0 if limits is None else nanoseconds(limits.stale_s)
         self._forces: dict[str, tuple[int, float]] = {}
@@ -140,7 +143,7 @@ class AdhesionForceCheck:
         self.waits = self.lacks = False
         if self._limits is None or self._measured is None:
             return self._nothing_real() or self._unmeasured(now_ns, sees_slide, moves)
-        for name in MEASURES:
+        for name in self._measures:
             for sensor, t_ns, force_n in self._measured.take(self._samples(name)):
                 self._forces[sensor] = t_ns, force_n
                 self._trends.setdefault(sensor, ForceTrend()).follow(t_ns, force_n)
@@ -317,7 +320,7 @@ def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
 
     Devices in another world than the servos are left out: they do not press this robot.
     """
-    pretended = pretended_holders(config)
+    pretended, blind = pretended_holders(config), config.elsewhere()
     config = config.of_one_world()
     fan = config.of(AdhesionConfig)
     kept = fan if isinstance(fan, DaemonMotorConfig) else None
@@ -327,4 +330,4 @@ def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     carried = carried and not isinstance(own, DaemonMotorConfig)
     push_keys = () if own is None else own.push_keys
     alone = PropellerObservation(rig, own, asked_n)
-    return AdhesionForceCheck(rig, limits, kept, alone, carried, pretended, push_keys)
+    return AdhesionForceCheck(rig, limits, kept, alone, carried, pretended, push_keys, blind)

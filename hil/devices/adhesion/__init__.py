@@ -64,7 +64,7 @@ def _speed(samples: Sequence[AdhesionSample], config: AdhesionConfig) -> Finding
     usable = [s for s in samples if s.status is Status.OK]
     if not usable:
         return Finding("adhesion", "speed", "failure", "no usable report", "its speed", _RATINGS)
-    middle = [float(np.nanmedian([float(getattr(s, name)) for s in usable])) for name in Reading._fields]
+    middle = [_middle([float(getattr(s, name)) for s in usable]) for name in Reading._fields]
     speeds = [s.speed_rpm for s in usable]
     steady = max(speeds) - min(speeds) < _STEADY_SHARE * config.rated_rpm
     check = cross_check(ratings, Reading(*middle), steady=steady)
@@ -74,6 +74,12 @@ def _speed(samples: Sequence[AdhesionSample], config: AdhesionConfig) -> Finding
         found += f"; {check.by} agree{'s' * (check.by == 'power')}, {100.0 * check.difference:+.0f} %"
     level: Level = "failure" if check.state == "contradicted" else "ok"
     return Finding("adhesion", "speed", level, found, "what duty, voltage and power say", _RATINGS)
+
+
+def _middle(values: Sequence[float]) -> float:
+    """Median of the values that are known; NaN for none."""
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan
 
 
 def _held(check: str, value: float, unit: str, right: bool, expected: str, remedy: str) -> Finding:
