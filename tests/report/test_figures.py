@@ -52,7 +52,9 @@ def test_the_series_of_a_motion_keep_its_largest_error():
     mocap[:, 0] = np.linspace(0.0, 40.0, LONG)
     reference, seen = mocap.copy(), mocap.copy()
     seen[12_345, 0] += 0.05
-    motion = SimpleNamespace(t_s=np.arange(float(LONG)), reference=reference, mocap=seen, estimate=mocap)
+    motion = SimpleNamespace(
+        t_s=np.arange(float(LONG)), reference=reference, truth=(seen, ""), estimate=mocap
+    )
     found = series(motion)
     assert len(found["t"]) <= 2 * MOST_POINTS
     assert np.max(np.subtract(found["truth"][0], found["reference"][0])) == pytest.approx(0.05, abs=1e-4)

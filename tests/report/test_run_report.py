@@ -314,7 +314,7 @@ def test_different_procedures_are_not_compared(folder, tmp_path):
 
 
 def said_of(declared, values, headline=""):
-    rows = judge(declared, values, {}, {}, ended=True)
+    rows = judge(declared, values, {}, {}, {}, ended=True)
     return sentence({"error": None, "headline": headline, "measurements": rows})
 
 

@@ -132,7 +132,13 @@ def test_what_a_command_cannot_mean_stops_the_robot_by_name(wrong):
 
 
 def test_a_mirrored_joint_has_its_limit_where_it_is():
-    external, _ = controller({"alignment.steer_zero_rad": [2.0, 0.0, 0.0, 0.0]})
+    external, _ = controller(
+        {
+            "alignment.steer_zero_rad": [2.0, 0.0, 0.0, 0.0],
+            "servos.steer_mode": "extended",
+            "servos.steer_limit_rad": 4.2,
+        }
+    )
     asked(external, 1, joints(0, position=(4.0, 0.0, 0.0, 0.0)))
     with pytest.raises(SafetyStop, match="steer_FL"):
         asked(external, 2, joints(0, position=(-0.5, 0.0, 0.0, 0.0)))
