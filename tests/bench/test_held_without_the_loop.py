@@ -48,17 +48,21 @@ def test_propellers_that_restart_after_the_stop_push_again(fault, after_s, looks
 LATE = "servos:slow@{},answer_s=0.02"
 
 
+SAG_M_S = 0.024
+"""How fast the robot slides while its servos have no torque (docs/reliability.md)."""
+
+
 @pytest.mark.parametrize(
-    "faults",
+    ("faults", "outage_s"),
     [
-        pytest.param([LATE.format(2), "servos:brownout@2.15+0.05"], marks=pytest.mark.long),
-        [LATE.format(2), "servos:brownout@2.15+0.3"],
-        pytest.param([LATE.format(2.6), "servos:brownout@2.15+0.3"], marks=pytest.mark.long),
-        ["servos:corrupt@2,probability=0.8", "servos:brownout@2.3+0.1"],
+        pytest.param([LATE.format(2), "servos:brownout@2.15+0.05"], 0.05, marks=pytest.mark.long),
+        ([LATE.format(2), "servos:brownout@2.15+0.3"], 0.3),
+        pytest.param([LATE.format(2.6), "servos:brownout@2.15+0.3"], 0.3, marks=pytest.mark.long),
+        (["servos:corrupt@2,probability=0.8", "servos:brownout@2.3+0.1"], 0.1),
     ],
 )
 @pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
-def test_servos_that_hear_and_are_not_heard_have_their_torque_back(faults, plant):
+def test_servos_that_hear_and_are_not_heard_have_their_torque_back(faults, outage_s, plant):
     """Supply and bus are there again, answers are late or lost: 28 to 61 mm of sliding before."""
     if plant == "mujoco":
         pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
@@ -69,7 +73,7 @@ def test_servos_that_hear_and_are_not_heard_have_their_torque_back(faults, plant
         stood = place(bench)
         for _ in range(3):
             bench.look()
-        assert np.linalg.norm(place(bench) - stood) < 0.005
+        assert np.linalg.norm(place(bench) - stood) < max(0.005, SAG_M_S * outage_s)
 
 
 def test_released_servos_that_are_not_heard_stay_released():
