@@ -25,7 +25,7 @@ _GRID_S, _WINDOW_S = 0.02, 0.2
 _ALIKE, _MOST_FAST = 0.9, 0.06
 _GAPS_LONGER = 1.5
 _ROUNDS, _UNEXPLAINED, _OVERLAP, _STDS = 5, 0.2, 3.0, 5.0
-_LEAST = 1e-12
+_LEAST, _REPLACED = 1e-12, 1e4
 _REST_S, _RESTS_RAD = 0.3, 0.02
 
 Moves: TypeAlias = tuple[npt.NDArray[np.complex128], Array]
@@ -165,11 +165,16 @@ def _unlike_rows(
 
 
 def _errors(rows: Array, left: Array, overlap: float) -> Array:
-    """Standard errors (k,) of the coefficients of rows (n, k) that leave (n,), where moves overlap."""
+    """Standard errors (k,) of the coefficients of rows (n, k) that leave (n,), where moves overlap.
+
+    A coefficient that the others can replace, as a skew of the axes on a straight line, has an infinite one.
+    """
     size = np.maximum(np.linalg.norm(rows, axis=0), _LEAST)
     information = (rows / size).T @ (rows / size) + 1e-9 * np.eye(len(size))
     spread = _OVERLAP * overlap * float(np.mean(left**2))
-    return np.asarray(np.sqrt(spread * np.diag(np.linalg.inv(information))) / size, dtype=np.float64)
+    inflation = np.diag(np.linalg.inv(information))
+    std = np.sqrt(spread * inflation) / size
+    return np.where(inflation > _REPLACED, np.inf, std)
 
 
 def _known_from_to(recording: Recording) -> tuple[float, float]:
