@@ -39,6 +39,7 @@ ALONE = (
     "bench/test_held_in_a_mix.py::test_an_emulated_camera_stops_the_drive_of_real_servos",
     "bench/test_held_in_a_mix.py::test_real_servos_beside_emulated_sensors",
     "bench/test_replug_drivers.py",
+    "devices/test_packages_that_hang.py::test_many_short_reads",
     "devices/test_runs_that_hang_are_ended.py",
     "emulate/test_emulate_command.py",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",
@@ -47,6 +48,7 @@ ALONE = (
     "live/test_live_command.py::test_the_summary_says_what_happened",
     "live/test_live_emulated_start.py",
     "live/test_live_remote.py",
+    "plugin/test_reruns_and_signals.py::test_a_session_that_is_ended_from_outside",
 )
 """Tests that judge how punctual this computer is, need a port of the host that others may want, or see
 whether one that they gave back is free."""

@@ -109,14 +109,14 @@ import gc, os, sys
 from hil.core.clock import MonotonicClock
 from hil.loop.realtime import RealTime
 
-before = os.sched_getaffinity(0), sys.getswitchinterval()
+before, policy = (os.sched_getaffinity(0), sys.getswitchinterval()), os.sched_getscheduler(0)
 with RealTime(MonotonicClock(), fifo_priority=1, cpu=min(before[0])) as real_time:
     assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO, real_time.warnings
     if os.geteuid() == 0:
         os.setgroups([])
         os.setresgid(65534, 65534, 65534)
         os.setresuid(65534, 65534, 65534)
-assert os.sched_getscheduler(0) == os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
+assert os.sched_getscheduler(0) == policy | os.SCHED_RESET_ON_FORK
 assert before == (os.sched_getaffinity(0), sys.getswitchinterval())
 assert gc.isenabled() and gc.get_freeze_count() == 0
 """
