@@ -12,7 +12,7 @@ import struct
 import threading
 from collections.abc import Callable
 
-from hil.support.port_users import PROC, programs_with
+from hil.support.port_users import own_descriptors_of, programs_with
 
 _CLOSED, _OPENED = 0x08 | 0x10, 0x20
 _EVENT = struct.Struct("iIII")
@@ -89,6 +89,4 @@ class _Look(threading.Thread):
 
     def run(self) -> None:
         """Look."""
-        own = PROC / str(os.getpid()) / "fd"
-        count = sum(os.path.realpath(one) == self._path for one in own.iterdir())
-        self.found = count > 1 or bool(programs_with(self._path))
+        self.found = own_descriptors_of(self._path) > 1 or bool(programs_with(self._path))

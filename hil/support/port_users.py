@@ -44,6 +44,16 @@ def programs_with(port: str, proc: Path = PROC) -> list[Program]:
     return [program for program in found if not _is_other_end(proc / str(program.pid), path[len(_PTS) :])]
 
 
+def own_descriptors_of(path: str, proc: Path = PROC) -> int:
+    """Number of descriptors of this process that lead to a file; its other threads may open and close files.
+
+    Args:
+        path: the file, without links.
+        proc: folder in which the kernel lists programs.
+    """
+    return sum(file == path for file in _opened(proc / str(os.getpid())))
+
+
 def _is_other_end(program: Path, number: str) -> bool:
     """Whether a program has the master of the pseudo-terminal of this number."""
     with contextlib.suppress(OSError):
@@ -93,17 +103,15 @@ def _with_open(files: set[str], proc: Path) -> list[Program]:
 
 
 def _has_open(program: Path, files: set[str]) -> bool:
-    try:
-        links = list((program / "fd").iterdir())
-    except OSError:
-        return False
-    for link in links:
-        try:
-            if os.readlink(link) in files:
-                return True
-        except OSError:
-            continue
-    return False
+    return any(file in files for file in _opened(program))
+
+
+def _opened(program: Path) -> Iterator[str]:
+    """Files that a program has open; those that it closes meanwhile may be missing."""
+    with contextlib.suppress(OSError):
+        for link in (program / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                yield os.readlink(link)
 
 
 def ending(programs: list[Program]) -> str:
