@@ -55,14 +55,6 @@ def read_plain(path: Path, nominal: Nominal | None = None, truth: TruthFile | No
     rates = all(c in columns for c in RATE_COLUMNS)
     needed = [c for c in _NEEDED if truth is None or c not in TRUTH_COLUMNS]
     _check_complete(path, header, columns, needed)
-    twice = [c for c in (*_NEEDED, *RATE_COLUMNS) if columns.count(c) > 1]
-    if twice:
-        raise DataError(
-            str(path),
-            f"has the columns {', '.join(twice)} more than once",
-            expected="each once",
-            remedy="delete the one that is not meant",
-        )
     table = _table(path, data, body, columns)
     if len(table) == 0:
         raise DataError(str(path), "has a header but no rows")
@@ -105,13 +97,21 @@ def read_plain(path: Path, nominal: Nominal | None = None, truth: TruthFile | No
 
 
 def _check_complete(path: Path, header: bytes, columns: list[str], needed: list[str]) -> None:
-    """Raise `DataError` for missing columns; says what the first line holds in their place.
+    """Raise `DataError` for missing or duplicate columns; says what the first line holds in their place.
 
     The wheel angles may be missing as a whole where all wheel rates are there.
     """
     rates = all(c in columns for c in RATE_COLUMNS) and not any(c in columns for c in _ANGLES)
     missing = [c for c in needed if c not in columns and not (rates and c in _ANGLES)]
     if not missing:
+        twice = [c for c in (*_NEEDED, *RATE_COLUMNS) if columns.count(c) > 1]
+        if twice:
+            raise DataError(
+                str(path),
+                f"has the columns {', '.join(twice)} more than once",
+                expected="each once",
+                remedy="delete the one that is not meant",
+            )
         return
     line, bad = header.decode("latin-1"), header.decode("utf-8", "replace").find("\ufffd")
     if bad >= 0:

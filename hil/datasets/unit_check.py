@@ -108,7 +108,7 @@ def check_units(
     Args:
         where: the file, for messages.
         angle: (n, 4) wheel angles.
-        steering: (n, 4) steering angles of the same rows.
+        steering: (k, 4) steering angles as they were read, before rows are completed.
         truth_t_s: (m,) times of the ground truth, s.
         pose: (m, 3) ground truth, heading unwrapped.
         heading: (m,) heading as in the file.
