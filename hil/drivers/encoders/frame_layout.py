@@ -82,7 +82,7 @@ def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:
     for message in load_database(path).messages:
         names = [name for name in config.signals if any(s.name == name for s in message.signals)]
         if names:
-            layout = _layout_of(message, config, path)
+            layout = _layout_of(message, names, config, path)
             layouts[layout.key] = layout
             described += names
     odd = {name: described.count(name) for name in config.signals if described.count(name) != 1}
@@ -98,12 +98,11 @@ def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:
     return layouts
 
 
-def _layout_of(message: Any, config: EncodersConfig, path: Path) -> FrameLayout:
+def _layout_of(message: Any, names: Sequence[str], config: EncodersConfig, path: Path) -> FrameLayout:
     raw = "raw unsigned 18-bit words with factor 1 and offset 0"
     words = tuple(
-        (wheel, raw_signal(message, name, path, raw, bits=_WORD_BITS, signed=False))
-        for wheel, name in enumerate(config.signals)
-        if any(s.name == name for s in message.signals)
+        (config.signals.index(name), raw_signal(message, name, path, raw, bits=_WORD_BITS, signed=False))
+        for name in names
     )
     counted = f"{SEQUENCE} and {NODE_TIME} as integers in every frame with angles"
     sequence, time = (raw_signal(message, name, path, counted) for name in (SEQUENCE, NODE_TIME))
