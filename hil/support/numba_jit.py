@@ -112,13 +112,13 @@ def stamp(source: Path) -> str:
 class _Locator(caching._CacheLocator):  # type: ignore[misc]
     """Folder of the machine code of one function in one home, by source file and state of its imports."""
 
-    def __init__(self, function: Callable[..., Any], home: Path) -> None:
+    def __init__(self, function: Callable[..., Any], home: Path, state: str) -> None:
         source = Path(function.__code__.co_filename)
         inside = source.is_relative_to(_PACKAGE)
         name = ".".join(source.relative_to(_PACKAGE).with_suffix("").parts) if inside else source.stem
         path = "" if inside else hashlib.sha256(str(source).encode()).hexdigest()[:16]
         self._py_file, self._line = str(source), function.__code__.co_firstlineno
-        self._of_source, self._stamp = home / f"{name}{path}", stamp(source)
+        self._of_source, self._stamp = home / f"{name}{path}", state
 
     def ensure_cache_path(self) -> None:
         """Make the folder, and delete those of other states of the source."""
@@ -151,8 +151,8 @@ class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
 class _Home(caching.Cache):  # type: ignore[misc]
     """Machine code of one function in one home."""
 
-    def __init__(self, function: Callable[..., Any], home: Path) -> None:
-        self._impl_class = partial(_Impl, locator=_Locator(function, home))
+    def __init__(self, function: Callable[..., Any], home: Path, state: str) -> None:
+        self._impl_class = partial(_Impl, locator=_Locator(function, home, state))
         super().__init__(function)
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -167,7 +167,8 @@ class _Cache(caching.NullCache):  # type: ignore[misc]
     """Machine code of one function in all homes; read and write errors cost time but end nothing."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._homes = [_Home(function, home) for home in homes()]
+        state = stamp(Path(function.__code__.co_filename))
+        self._homes = [_Home(function, home, state) for home in homes()]
 
     @property
     def cache_path(self) -> str:
