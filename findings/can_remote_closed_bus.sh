@@ -4,7 +4,7 @@
 # Version: python-can-remote 0.3.0 with python-can 4.6.1
 # So it is: `recv` raises WebsocketClosed, which is no CanError and no OSError; after it, `send` raises nothing and sends
 #   nothing. A program that only sends, or that handles `can.CanError`, does not notice that its bus is gone.
-# Source: code, can_remote/websocket.py, WebSocket.read and send_frame; run on 2026-11-29 with CPython 3.11
+# Source: code, can_remote/websocket.py, WebSocket.read and send_frame; seen 2026-11-29 with CPython 3.11
 # What to do: count any exception of a bus as its failure, read also where nothing is expected, and open the bus again.
 set -eu
 folder=$(mktemp -d)

@@ -5,7 +5,7 @@
 # So it is: its driver for python-can, which `make_node("can0")` takes wherever python-can is installed, calls every
 #   frame extended. A sensor's frame 0x1A0 becomes an anonymous message of type 1. The same driver passes milliseconds
 #   to `recv`, which takes seconds, so `receive(0.05)` waits 50 s on a quiet bus.
-# Source: code, dronecan/driver/python_can.py, PythonCAN.receive; run on 2026-11-29 with CPython 3.11
+# Source: code, dronecan/driver/python_can.py, PythonCAN.receive; seen 2026-11-29 with CPython 3.11
 # What to do: give `dronecan.node.Node` a driver of your own that drops frames of 11 bits and passes seconds.
 set -eu
 folder=$(mktemp -d)

@@ -4,7 +4,7 @@
 # Version: foxglove-sdk 0.30.3, rosbags 0.11.9
 # So it is: rosbags refuses the file, "Profile is not ros2.": foxglove-sdk leaves the header's profile empty, and
 #   rosbags asks for it. With the profile given to the writer the same file is read.
-# Source: https://mcap.dev/spec (the profile is optional); code, rosbags/rosbag2/storage_mcap.py; run on 2026-11-29 with
+# Source: https://mcap.dev/spec (the profile is optional); code, rosbags/rosbag2/storage_mcap.py; seen 2026-11-29 with
 #   CPython 3.11
 # What to do: `foxglove.open_mcap(path, writer_options=MCAPWriteOptions(profile="ros2"))`.
 set -eu

@@ -3,7 +3,7 @@
 # Version: labgrid 26.0.1
 # So it is: the file is a Jinja template first, with `#` as the prefix of a line statement. The comment ends the
 #   exporter with a syntax error of the template, which names a word of the comment and not the file's language.
-# Source: code, labgrid/remote/config.py, ResourceConfig; run on 2026-11-29 with CPython 3.11
+# Source: code, labgrid/remote/config.py, ResourceConfig; seen 2026-11-29 with CPython 3.11
 # What to do: write `## comment` or `{# comment #}`, which the template takes out.
 set -eu
 folder=$(mktemp -d)

@@ -3,7 +3,7 @@
 # Version: mcap 1.6.0, pymcap-cli 0.34.0
 # So it is: `pymcap-cli doctor` ends with 1, SUMMARY_OFFSET_WITHOUT_GROUP: the library writes a summary offset for the
 #   attachment index also where there is no attachment, so that it points to a group of length 0.
-# Source: code, mcap/writer.py, Writer.finish; run on 2026-11-29 with CPython 3.11
+# Source: code, mcap/writer.py, Writer.finish; seen 2026-11-29 with CPython 3.11
 # What to do: leave the index of attachments out, `index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA`
 #   (the same holds for metadata), or do not take this one code for damage.
 set -eu

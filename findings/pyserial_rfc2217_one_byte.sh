@@ -5,7 +5,7 @@
 # So it is: on `rfc2217://` such a read gives one byte, however many wait. Once the connection is closed, `in_waiting`
 #   counts the bytes that wait (and one more), but `read` raises: they are lost. A driver that polls every millisecond
 #   gets 1000 bytes a second of a sensor that sends 10,000, each with the arrival of its poll.
-# Source: code, serial/rfc2217.py, Serial.read; run on 2026-11-29 with CPython 3.11
+# Source: code, serial/rfc2217.py, Serial.read; seen 2026-11-29 with CPython 3.11
 # What to do: read `in_waiting` bytes in one call, or set a short timeout that is not 0.
 set -eu
 folder=$(mktemp -d)

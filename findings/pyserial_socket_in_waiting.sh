@@ -4,7 +4,7 @@
 # Version: pyserial 3.5
 # So it is: on `socket://` it is 0 or 1, whether something waits. A loop that reads `in_waiting` bytes a cycle takes one
 #   byte a cycle: at 100 Hz a sensor of 2 kB/s falls behind by 19 s every 20 s, and its samples look fresh.
-# Source: code, serial/urlhandler/protocol_socket.py, Serial.in_waiting; run on 2026-11-29 with CPython 3.11
+# Source: code, serial/urlhandler/protocol_socket.py, Serial.in_waiting; seen 2026-11-29 with CPython 3.11
 # What to do: read with timeout 0 and a large size, which gives all that has come, or ask the socket by FIONREAD.
 set -eu
 folder=$(mktemp -d)

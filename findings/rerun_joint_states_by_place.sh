@@ -4,7 +4,7 @@
 # Version: rerun-sdk 0.41.0
 # So it is: `rerun mcap convert` keeps one row of values for each message, by place, and the names beside it. Where the
 #   joints of two messages differ, place 0 holds one joint and then another, in one and the same column.
-# Source: run on 2026-11-29 with CPython 3.11
+# Source: seen 2026-11-29 with CPython 3.11
 # What to do: record the same joints in the same order in every message, or select by the names column before plotting.
 set -eu
 folder=$(mktemp -d)

@@ -4,7 +4,7 @@
 # Version: pytest-rerunfailures 16.7, pytest 9.2.0
 # So it is: the case of the passed attempt also has the properties of the failed one, and has them first: who reads the
 #   first value of a name reads the failed attempt's.
-# Source: code, pytest_rerunfailures.py (`item.user_properties` is never emptied); run on 2026-11-29 with CPython 3.11
+# Source: code, pytest_rerunfailures.py (`item.user_properties` is never emptied); seen 2026-11-29 with CPython 3.11
 # What to do: read the last property of a name; in a plugin, take your own out of `item.user_properties` where an
 #   attempt begins (`pytest_runtest_setup`).
 set -eu

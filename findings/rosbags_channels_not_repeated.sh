@@ -4,8 +4,8 @@
 # Version: rosbags 0.11.9, mcap 1.6.0
 # So it is: the file opens without a connection and gives no message, without an error. With neither schemas nor
 #   channels in the summary the reader scans the file and finds all. mcap's own reader gives the messages each time.
-# Source: https://mcap.dev/spec (summary section); code, rosbags/rosbag2/storage_mcap.py, McapReader._open; run on
-#   2026-11-29 with CPython 3.11
+# Source: https://mcap.dev/spec (summary section); code, rosbags/rosbag2/storage_mcap.py, McapReader._open;
+#   seen 2026-11-29 with CPython 3.11
 # What to do: write with `repeat_channels=True`, or scan files without connections by mcap's stream reader.
 set -eu
 folder=$(mktemp -d)

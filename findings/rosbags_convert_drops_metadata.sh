@@ -4,7 +4,7 @@
 # Version: rosbags 0.11.9, mcap 1.6.0
 # So it is: both are gone, without a word; the only metadata record of the result is rosbag2's own. (`mcap filter`
 #   drops metadata as well unless asked with --include-metadata, and says so in its help.)
-# Source: code, rosbags/convert; run on 2026-11-29 with CPython 3.11
+# Source: code, rosbags/convert; seen 2026-11-29 with CPython 3.11
 # What to do: keep the original, or put what has to survive every conversion into a message.
 set -eu
 folder=$(mktemp -d)

@@ -4,7 +4,7 @@
 # Version: rosbags 0.11.9
 # So it is: the folder opens, `msgcount` is right, and `messages()` gives none, without an error or a warning. The
 #   reader joins topics of metadata.yaml and channels of the file by name, type and quality. The file alone gives all.
-# Source: code, rosbags/rosbag2/reader.py, DirectoryReader.messages; run on 2026-11-29 with CPython 3.11
+# Source: code, rosbags/rosbag2/reader.py, DirectoryReader.messages; seen 2026-11-29 with CPython 3.11
 # What to do: read the storage files themselves, or compare the number of messages with `msgcount`.
 set -eu
 folder=$(mktemp -d)
