@@ -23,7 +23,7 @@ from hil.core.device import DeviceKind
 from hil.core.errors import ConfigError
 from hil.core.signals import CycleRecord
 
-FORMAT = 2
+FORMAT = 1
 """Version of the content of the topic `/hil/cycle`; files with another number are not read."""
 DTYPES: Sequence[np.dtype[Any]] = tuple(map(np.dtype, ("<f8", "<f4", "<i8", "?")))
 """Types of arrays that are kept as they are."""

@@ -90,7 +90,7 @@ class RecordingReader:
         """Header, and codec for the cycles, from the metadata record at byte `at`."""
         try:
             header = json_object(metadata["header"])
-            found = metadata.get(FORMAT_KEY, "1")
+            found = metadata[FORMAT_KEY]
             if found != str(FORMAT):
                 raise DataError(
                     str(self.path),
