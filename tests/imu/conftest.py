@@ -51,6 +51,10 @@ class DirectPort:
         while self._coming and self._coming[0][0] <= self.world.now_ns:
             self._coming.popleft()
 
+    @property
+    def in_waiting(self):
+        return sum(arrived_ns <= self.world.now_ns for arrived_ns, _ in self._coming)
+
     def write(self, data):
         if self.name not in _LINES:
             raise serial.SerialException(5, "Input/output error")

@@ -138,6 +138,42 @@ def test_lasting_failure_raises_with_port_and_remedy(imu_bench, fault):
     assert bench.clock.now_ns() < 4_000_000_000
 
 
+@pytest.mark.parametrize("prefetch", [False, True])
+@pytest.mark.parametrize(
+    "fault", ["imu:drop@1.0+0.009", "imu:slow@1.0+0.009,answer_s=0.008", "imu:slow@1.0+0.009,answer_s=0.012"]
+)
+def test_a_reply_that_is_lost_or_late_costs_one_sample(imu_bench, fault, prefetch):
+    """The late reply once passed for the answer to the next request, which was lost with it."""
+    bench = imu_bench(fault, config={"prefetch": prefetch}, overrun_probability=0.0)
+    bench.driver.open()
+    run(bench, 0.5)
+    samples = run(bench, 1)
+    lost = [s for s in samples if s.status is not Status.OK]
+    assert {s.status for s in lost} <= {Status.TIMEOUT}
+    assert len(lost) <= 1
+    assert len(samples) >= 98
+    assert max(np.diff([s.stamp.t_ns for s in samples if s.status is Status.OK])) < 30_000_000
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_every_fifth_reply_lost_costs_every_fifth_sample(imu_bench, prefetch):
+    bench = imu_bench("imu:drop@0.5,probability=0.2", config={"prefetch": prefetch}, overrun_probability=0.0)
+    bench.driver.open()
+    run(bench, 0.5)
+    usable = sum(s.status is Status.OK for s in run(bench, 10))
+    assert usable > 0.75 * 1000
+
+
+def test_a_late_reply_is_no_answer_to_its_own_repetition(imu_bench):
+    """The second reply once stayed in the port: every later sample was the one before, stamped "now"."""
+    fault, config = "imu:slow@1+0.1,answer_s=0.012", {"retry_budget_s": 0.05}
+    bench = imu_bench(fault, config=config, overrun_probability=0.0)
+    bench.driver.open()
+    run(bench, 1.2)
+    ages_ns = [s.stamp.host_ns - s.stamp.t_ns for s in run(bench, 0.2)]
+    assert min(ages_ns) > 8_000_000, "half a fusion period, and 3.5 ms on the wire"
+
+
 def test_silence_costs_little_time_per_cycle(imu_bench):
     bench = imu_bench("imu:off@1")
     bench.driver.open()
@@ -250,10 +286,25 @@ def test_another_device_is_named_with_expected_and_found(imu_bench):
         bench.driver.open()
 
 
+class WithSystemError:
+    """A chip whose next reply with registers 0x39 and 0x3A says a system error."""
+
+    def __init__(self, chip):
+        self.chip, self.said = chip, False
+
+    def receive(self, data, t_ns, baud):
+        replies = self.chip.receive(data, t_ns, baud)
+        if data == bytes.fromhex("AA01142A") and replies and not self.said:
+            self.said, reply = True, bytearray(replies[0].data)
+            reply[2 + 0x39 - 0x14 : 2 + 0x3B - 0x14] = b"\x01\x03"
+            return [Reply(replies[0].ready_ns, bytes(reply))]
+        return replies
+
+
 def test_a_system_error_is_reported(imu_bench):
-    bench = imu_bench()
+    bench = imu_bench(overrun_probability=0.0)
     bench.driver.open()
-    bench.interpose(Impostor(bench.chip, [bytes.fromhex("BB050103000008")], only=bytes.fromhex("AA0139")))
+    bench.interpose(WithSystemError(bench.chip))
     kinds = [s.status for s in run(bench, 3)]
     assert kinds.count(Status.HARDWARE_ERROR) == pytest.approx(100, abs=3)
     assert kinds[-1] is Status.OK

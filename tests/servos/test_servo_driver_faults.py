@@ -279,3 +279,23 @@ def test_a_bus_that_falls_silent_altogether(servo_bench):
     assert set(sample.status) == {Status.TIMEOUT}
     with pytest.raises(DeviceTimeoutError, match=r"drive_FL(.*)steer_FR"):
         cycles(bench, 6)
+
+
+@pytest.mark.parametrize(
+    ("fast", "share"), [(False, 0.2 / 8), ("auto", np.mean([0.2 * (8 + 14 * k) / 120 for k in range(1, 9)]))]
+)
+def test_a_damaged_bit_costs_the_values_that_its_checksum_covers(servo_bench, fast, share):
+    """A plain reply is eight packets. A fast one is 120 bytes, with a checksum every 14 over all before."""
+    config = {"fast_sync_read": fast, "retry_budget_s": 0.0}
+    bench = servo_bench("servos:corrupt@1,probability=0.2", config=config)
+    bench.driver.enable()
+    found = between(cycles(bench, 16, ROLLING), 1, 16)
+    lost = np.mean([[one is not Status.OK for one in sample.status] for sample in found])
+    assert lost == pytest.approx(share, rel=0.1)
+
+
+def test_values_that_are_asked_ahead_are_asked_again_when_damaged(servo_bench):
+    bench = servo_bench("servos:corrupt@1,probability=0.2", config={"prefetch": True})
+    bench.driver.enable()
+    found = between(cycles(bench, 9, ROLLING), 1, 9)
+    assert np.mean([[one is not Status.OK for one in sample.status] for sample in found]) < 0.02

@@ -143,7 +143,7 @@ class Bno055Imu(Sensor[ImuSample]):
         if self._repair is not None:
             return self._repaired(self._repair, now_ns)
         try:
-            if self._suspicious or (now_ns >= self._next_check_ns and not self._prefetch):
+            if self._suspicious:
                 self._check(link, now_ns)
                 if self._repair is not None or self._clock.now_ns() - now_ns > _LONG_CHECK_NS:
                     return ()
@@ -151,20 +151,15 @@ class Bno055Imu(Sensor[ImuSample]):
             data = link.read(bno055_burst.START, self._length, now_ns + budget_ns)
             if self._length == _WITH_STATE:
                 self._judge_state(data[_SYS_STATUS - bno055_burst.START :], now_ns)
+            self._failures = 0
+            sample = self._sample(link, data[: bno055_burst.LENGTH])
         except ExchangeError as error:
-            self._length = bno055_burst.LENGTH
-            return (self._failed(error),)
-        self._failures = 0
-        sample = self._sample(link, data[: bno055_burst.LENGTH])
-        if self._prefetch:
-            self._ask_ahead(link)
-        return (sample,)
-
-    def _ask_ahead(self, link: Link) -> None:
-        """Request the next burst; when a check is due, with the registers of the check."""
+            sample = self._failed(error)
         due = self._clock.now_ns() >= self._next_check_ns
         self._length = _WITH_STATE if due else bno055_burst.LENGTH
-        link.ask_ahead(bno055_burst.START, self._length)
+        if self._prefetch and self._failures < _OUTAGE_AFTER:
+            link.ask_ahead(bno055_burst.START, self._length)
+        return (sample,)
 
     def read_calibration(self) -> ImuCalibration:
         """Offsets that the chip has learnt (it leaves the fusion for about 60 ms).
@@ -216,9 +211,8 @@ class Bno055Imu(Sensor[ImuSample]):
 
     def _failed(self, error: ExchangeError) -> ImuSample:
         """A sample without values, with the status of the failure; raises once that has lasted too long."""
-        now_ns = self._clock.now_ns()
+        now_ns = self._next_check_ns = self._clock.now_ns()
         self._failures += 1
-        self._suspicious = True
         if self._failures >= _OUTAGE_AFTER:
             self._next_poll_ns = now_ns + nanoseconds(self._config.outage_poll_s)
         self._judge(error.status, now_ns, error)

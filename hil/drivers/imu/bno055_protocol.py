@@ -30,6 +30,7 @@ STATUS_TEXT = {
 _WRITTEN = 0x01
 _MAX_ATTEMPTS = 10
 _PATIENCE_S = 0.04
+_NONE = -1
 
 
 class ExchangeError(Exception):
@@ -53,6 +54,7 @@ class Link:
         self._gap_ns = nanoseconds(config.retry_gap_s)
         self._dirty = True
         self._ahead = b""
+        self._length = self._owed_length = _NONE
         self.asked_ns = self.port_failures = 0
         try:
             self._port: Any = open_serial(
@@ -107,11 +109,20 @@ class Link:
             return False
 
     def _send(self, request: bytes) -> None:
+        self._owed_length = self._length if self._dirty else _NONE
         if self._dirty:
             self._port.reset_input_buffer()
         self._dirty = True
+        self._length = request[3] if request[1] == READ else 0
         self.asked_ns = self._clock.now_ns()
         self._port.write(request)
+
+    def _waited_out(self) -> bool:
+        return self._clock.now_ns() - self.asked_ns >= nanoseconds(self._port.timeout)
+
+    def _is_late(self, head: bytes, length: int) -> bool:
+        """Whether the reply to the request before, which has timed out, begins: the chip answers in turn."""
+        return len(head) == 2 and head[0] == 0xBB and head[1] == self._owed_length != length
 
     def _repeat(self, request: bytes, length: int, deadline_ns: int) -> bytes:
         left = _MAX_ATTEMPTS
@@ -130,14 +141,19 @@ class Link:
             waiting, self._ahead = self._ahead == request, b""
             if not waiting:
                 self._send(request)
+            elif self._waited_out() and not self._port.in_waiting:
+                raise ExchangeError(Status.TIMEOUT, "no reply before the timeout")
             head = self._port.read(2)
+            if self._is_late(head, length):
+                self._port.read(head[1])
+                head = self._port.read(2)
             if len(head) < 2:
                 raise ExchangeError(Status.TIMEOUT, f"{len(head)} of 2 header bytes before the timeout")
             if head[0] == 0xBB and length and head[1] == length:
                 data: bytes = self._port.read(length)
                 if len(data) < length:
                     raise ExchangeError(Status.TIMEOUT, f"{len(data)} of {length} data bytes")
-                self._dirty, self.port_failures = False, 0
+                self._dirty, self.port_failures = self._owed_length == length, 0
                 return data
         except PORT_ERRORS as error:
             self.port_failures += 1
