@@ -29,13 +29,13 @@ class PtyClients:
 
     def __init__(self, path: str, on_left: Callable[[], None]) -> None:
         self._path, self._on_left = path, on_left
+        self._look: _Look | None = None
         libc = ctypes.CDLL(None, use_errno=True)
         self._fd: int = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
         if self._fd >= 0 and libc.inotify_add_watch(self._fd, path.encode(), _OPENED | _CLOSED) < 0:
             self.close()
         self._present: bool = self._fd < 0
         self._openings = 0
-        self._look: _Look | None = None
 
     def filenos(self) -> list[int]:
         """Descriptor that is readable when a program has come or gone, if the system has such."""
@@ -57,10 +57,13 @@ class PtyClients:
         return self._present
 
     def close(self) -> None:
-        """Stop watching. Idempotent."""
+        """Stop watching, and wait for a look that has begun. Idempotent."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
+        look, self._look = self._look, None
+        if look is not None:
+            look.join()
 
     def _read_events(self) -> None:
         try:
@@ -71,22 +74,27 @@ class PtyClients:
             if mask & _OPENED:
                 self.came()
             elif mask & _CLOSED:
-                self._look = _Look(self._path, self._openings)
+                self._look = _Look(self._path, self._openings, self._look)
 
 
 class _Look(threading.Thread):
     """Finds out whether other programs, or this one a second time, have a terminal open.
+
+    A look ends after the one before it.
 
     Attributes:
         found: the answer, once the thread has ended.
         openings: how often it had been opened when the look began.
     """
 
-    def __init__(self, path: str, openings: int) -> None:
+    def __init__(self, path: str, openings: int, before: _Look | None) -> None:
         super().__init__(name="clients of a terminal", daemon=True)
-        self._path, self.openings, self.found = path, openings, True
+        self._path, self.openings, self.found, self._before = path, openings, True, before
         self.start()
 
     def run(self) -> None:
         """Look."""
+        if self._before is not None:
+            self._before.join()
+            self._before = None
         self.found = own_descriptors_of(self._path) > 1 or bool(programs_with(self._path))

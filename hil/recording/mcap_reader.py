@@ -6,6 +6,7 @@ with `DataError`: recordings of other robots are read with a topic mapping (`hil
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from hil.recording.mcap_records import COPY_AGAIN, in_place_of, messages_of, rec
 from hil.recording.needed_packages import added_kinds
 from hil.recording.topics import TOPICS
 from hil.support.file_reading import json_object
+
+_LOG = logging.getLogger(__name__)
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _KEEP_METADATA = (
@@ -114,6 +117,8 @@ class RecordingReader:
     def items(self) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order of their log times, in which they were written.
 
+        A message that stands in the file twice, as a file merged with itself has it, counts once.
+
         Raises:
             DataError: the file was merged from several recordings.
         """
@@ -128,10 +133,19 @@ class RecordingReader:
                 f"holds {several} recordings in one file, whose cycles cannot be told apart",
                 remedy="name the recordings that it was merged from",
             )
+        repeated, latest_ns, read = 0, -1, set[tuple[str, bytes]]()
         for channel, message in messages_of(self.path, lambda c: c.topic in (_CYCLE, _NOTE), self.problems):
+            if message.log_time != latest_ns:
+                latest_ns, read = message.log_time, set()
+            if (channel.topic, message.data) in read:
+                repeated += 1
+                continue
+            read.add((channel.topic, message.data))
             item = self._item(channel.topic, message.data)
             if item is not None:
                 yield item
+        if repeated:
+            _LOG.warning("%s: %d messages that stand twice are read once", self.path, repeated)
 
     def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
         """What a message on one of our own topics holds; None where it cannot be read."""

@@ -11,6 +11,9 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from hil.datasets.rosbag import read_bag
+from hil.datasets.topic_map import read_topic_map
+
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINT, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
 DRIVE, STEER = [f"w{i}" for i in range(1, 5)], [f"s{i}" for i in range(1, 5)]
@@ -146,6 +149,14 @@ def write_bag(folder, found, plugin=StoragePlugin.MCAP):
             lane, kind = lanes[topic]
             writer.write(lane, BEGIN_NS + round(log_s * 1e9), STORE.serialize_cdr(message, kind))
     return folder
+
+
+def bag_as_read(folder):
+    """A rosbag2 recording of a drive, its mapping, and what is read of it."""
+    (folder / "topics.toml").write_text(MAPPING)
+    made = write_bag(folder / "curve_1", messages(drive()))
+    mapping = read_topic_map(folder / "topics.toml")
+    return made, mapping, read_bag(made, mapping)
 
 
 def write_csv(path, found, *, order=None):

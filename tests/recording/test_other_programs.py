@@ -22,7 +22,6 @@ from test_rewritten_files import told
 from hil.datasets.export import write_table
 from hil.datasets.plain_csv import read_plain
 from hil.datasets.rosbag import read_bag
-from hil.datasets.topic_map import read_topic_map
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 
@@ -82,11 +81,7 @@ def ours(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     """A rosbag2 folder of another robot, its mapping, and what is read of it."""
-    folder = tmp_path_factory.mktemp("bag")
-    (folder / "topics.toml").write_text(perfect.MAPPING)
-    made = perfect.write_bag(folder / "curve_1", perfect.messages(perfect.drive()))
-    mapping = read_topic_map(folder / "topics.toml")
-    return made, mapping, read_bag(made, mapping)
+    return perfect.bag_as_read(tmp_path_factory.mktemp("bag"))
 
 
 REWRITES = {

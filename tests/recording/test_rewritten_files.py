@@ -19,7 +19,6 @@ from hil.cli import main
 from hil.core.clock import WallOffset
 from hil.core.errors import DataError
 from hil.datasets.rosbag import read_bag
-from hil.datasets.topic_map import read_topic_map
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.record_comparison import first_difference
@@ -164,6 +163,25 @@ def test_a_recording_that_lost_its_metadata_is_told_from_another_robots(tmp_path
     assert "holds no cycle records of this project" in capsys.readouterr().err
 
 
+def test_a_file_merged_with_itself_is_read_once(tmp_path, ours, caplog):
+    messages, kept = content(ours)
+    twice = tmp_path / "twice.mcap"
+    with twice.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="another")
+        for _ in range(2):
+            for metadata in kept:
+                writer.add_metadata(metadata.name, metadata.metadata)
+            for schema, channel, message in messages:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                lane = writer.register_channel(channel.topic, channel.message_encoding, kind)
+                writer.add_message(lane, message.log_time, message.data, message.publish_time)
+        writer.finish()
+    assert told(twice) == told(ours)
+    assert first_difference(tuple(read_cycles(ours)), tuple(read_cycles(twice))) is None
+    assert f"{CYCLES + 3} messages that stand twice" in caplog.text
+
+
 def test_a_file_merged_from_two_recordings_is_refused(tmp_path, ours):
     """Their cycles had become runs of one another; the same metadata twice is one recording."""
     messages, (kept, *_) = content(ours)
@@ -188,12 +206,8 @@ def test_a_file_merged_from_two_recordings_is_refused(tmp_path, ours):
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """A rosbag2 folder of another robot, and what is read of it."""
-    folder = tmp_path_factory.mktemp("bag")
-    (folder / "topics.toml").write_text(perfect.MAPPING)
-    made = perfect.write_bag(folder / "curve_1", perfect.messages(perfect.drive()))
-    mapping = read_topic_map(folder / "topics.toml")
-    return made, mapping, read_bag(made, mapping)
+    """A rosbag2 folder of another robot, its mapping, and what is read of it."""
+    return perfect.bag_as_read(tmp_path_factory.mktemp("bag"))
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -14,6 +14,7 @@ import pytest
 import serial
 
 from hil.core.clock import MonotonicClock
+from hil.fakes import pty_clients
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
@@ -124,3 +125,18 @@ def claimed_by_flag(path):
         return claimed(path)
     except OSError:  # refused, as to an ordinary user
         return True
+
+
+def test_a_closed_port_leaves_no_thread_that_looks_for_its_clients(monkeypatch):
+    """The look that a client's last closing has begun once went on behind the emulator's end."""
+    monkeypatch.setattr(pty_clients, "programs_with", lambda path: time.sleep(0.3))
+    before = set(threading.enumerate())
+    transport = SerialPty(SerialLine(World(StillPlant()), Counter()))
+    for _ in range(2):
+        with serial.Serial(transport.endpoint()["port"]):
+            pass
+        for fd in transport.filenos():
+            transport.on_readable(fd, 0)
+    assert set(threading.enumerate()) > before
+    transport.close()
+    assert set(threading.enumerate()) == before
