@@ -24,8 +24,8 @@ class AdhesionConfig(DeviceConfig):
     Attributes:
         force_n: set-point on a wall; `robot.edf_force_n` when left out.
         highest_force_n: largest set-point.
-        by_need: while the robot is driven, command a tenth more than the limit at which it would be stopped,
-            by posture, surface and tilt, instead of `force_n`.
+        by_need: true for a force that follows posture, surface and tilt instead of `force_n` while the robot is
+            driven: a tenth more than the limit at which it would be stopped.
         rated_force_n, rated_rpm: force at a speed; it goes with the square of the speed. `hil run
             adhesion_check` finds it.
         rated_input_a, rated_input_v: current from the battery at that speed, and its voltage then.
@@ -65,7 +65,7 @@ class MotorConfig(AdhesionConfig, DaemonMotorConfig):
 
     Attributes:
         command: quantity that the controller is given: `duty`, `current` or `rpm`.
-        rpm_per_v: of the motor: speed per volt, unloaded.
+        rpm_per_v: speed of the motor per volt, unloaded.
     """
 
     command: Literal["duty", "current", "rpm"] = "duty"
@@ -97,9 +97,9 @@ class VescConfig(MotorConfig):
     """A VESC motor controller with its own protocol.
 
     Attributes:
-        controller_id: as set in VESC Tool (App Settings, General).
+        controller_id: number of the controller, as set in VESC Tool (App Settings, General).
         own_id: id of this program in its requests; no controller may have it.
-        pole_pairs: of the motor; electrical over mechanical speed.
+        pole_pairs: pole pairs of the motor: its electrical over its mechanical speed.
     """
 
     model: Literal["vesc"] = "vesc"

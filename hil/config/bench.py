@@ -41,7 +41,7 @@ class BenchConfig(Strict):
 
     Attributes:
         schema: version of this format: 1.
-        name: of the bench, in every result and recording.
+        name: label of the bench in every result and recording.
         calibration: path of the `calibration.toml` to apply; nominal geometry without one. Like every
             path in the file, a relative one starts at the file's folder.
         failed_calibration: use a calibration also where its validation run ended in FAIL.

@@ -27,7 +27,7 @@ class Claim(NamedTuple):
     """An identifier that no other device on the bus may have.
 
     Attributes:
-        key: of the device's table.
+        key: key of the device's table in the bench file.
         what: `VESC id`, `DroneCAN node` or `frame`; different ones do not conflict.
         number: the identifier.
     """
@@ -41,7 +41,7 @@ class CanConfig(DeviceConfig):
     """A device on a CAN bus.
 
     Attributes:
-        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
+        interface, channel, bitrate: bus and its bit rate, in the terms of python-can (`socketcan`, `can0`).
         options: further keyword arguments of the python-can interface (`host`, `port`, ...).
         open_timeout_s: longest wait for a first sample or report.
     """

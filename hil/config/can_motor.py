@@ -16,7 +16,7 @@ class DaemonMotorConfig(CanConfig):
     Attributes:
         timeout_s: time without a command after which the controller releases the motor, as set in VESC Tool;
             the doctor reads the actual value, if the controller reports it.
-        ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
+        ramp_up_s, ramp_down_s: time from rest to the highest duty, and back.
         fail_after_s: uninterrupted silence that raises.
     """
 

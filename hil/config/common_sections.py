@@ -33,13 +33,13 @@ class SafetyConfig(Strict):
     Attributes:
         servo_stale_s, imu_stale_s, tracker_stale_s: age after which a device counts as silent.
         wheel_rate_limit_rad_s, steering_limit_rad: setpoints are clipped to these.
-        heading_limit_rad: on a wall; beyond it the thrust no longer points up. At most the heading at which
-            `[robot]` still holds on the most slippery surface known, unless `tethered`.
+        heading_limit_rad: largest heading on a wall; beyond it the thrust no longer points up. At most the
+            heading at which `[robot]` still holds on the most slippery surface known, unless `tethered`.
         tethered: the robot is on a tether and cannot fall: for finding the heading at which it slides.
         tracking_error_limit_m: distance from the reference.
         body_speed_limit_m_s: speed that the camera may see: faster is a slide.
         adhesion_limit_m_s2: specific force below which the robot counts as falling; at least 1 on a wall.
-        adhesion_reserve: with a fan among the devices: share by which its measured force exceeds what holds
+        adhesion_reserve: share by which, with a fan among the devices, its measured force exceeds what holds
             the robot; below that no wheel moves.
         adhesion_stale_s: age after which fan, load cells or propellers that report count as silent; the robot
             then stops.
@@ -88,9 +88,10 @@ class EmulationConfig(Strict):
     Attributes:
         plant: the physics of body, wheels and surface: `own`, or `mujoco` (extra `mujoco`), an engine that
             others wrote. Both have the same motors, servos and seeds.
-        contact: of `mujoco` only. `creep`: loaded wheels lose a share of every metre, as tyres do; that is
-            taken where it is left out. `holding`: they hold until they slide (dry friction).
-        mjcf: of `mujoco` only: MJCF file of your own robot, with joints `steer_FL` ... `drive_FR`; made from
+        contact: contact law of the wheels, for `mujoco` only. `creep`: loaded wheels lose a share of every
+            metre, as tyres do; that is taken where it is left out. `holding`: they hold until they slide (dry
+            friction).
+        mjcf: MJCF file of your own robot, for `mujoco` only, with joints `steer_FL` ... `drive_FR`; made from
             `[robot]` where it is left out.
         faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
@@ -115,10 +116,10 @@ class RecordConfig(Strict):
     """The record of the robot, in which procedures keep what they find out.
 
     Attributes:
-        folder: of the record; need not exist yet. What is in it counts instead of what the bench file says,
-            and a procedure that passed adds its part.
+        folder: path of the record; need not exist yet. What is in it counts instead of what the bench file
+            says, and a procedure that passed adds its part.
         without: parts of it that are not to be applied.
-        valid_days: for how long a part that is added may be used; without it there is no end.
+        valid_days: validity of a part that is added; unlimited without it.
     """
 
     folder: str | None = None
@@ -137,7 +138,7 @@ class ExitConfig(Strict):
 
     Attributes:
         policy: `hold` keeps torque on, `release` drops it: on a wall the robot then slides.
-        look_after_s: how long a bench that closes keeps monitoring a robot that is not held yet. With
+        look_after_s: time for which a bench that closes keeps monitoring a robot that is not held yet. With
             propellers that report nothing, one check takes as long as they would need to let the robot slide:
             6 s for the robot of the shipped profile.
     """

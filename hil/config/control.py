@@ -23,15 +23,15 @@ class ControlConfig(Strict):
         gains: k_x, k_y, k_theta of the non-linear law, 1/s.
         dead_zone: pose errors (m, m, rad) that are not corrected: below what wheels of 4096 steps a turn
             resolve, a slow wheel would steer after noise, through the backlash of its gear.
-        integral: whether the optimal law has integral action; it learns only while the wheels can follow.
+        integral: true for integral action of the optimal law; it learns only while the wheels can follow.
         state_weight, integral_weight, input_weight: LQR weights (diagonal, per axis alike).
         integral_clamp: bound of the integral states, m s and rad s.
         servo_lag_s: servo, reporting and bus lag in the optimal law's model.
-        still_speed_m_s: below this a wheel holds its last angle.
-        flip_hysteresis_rad: beyond a quarter turn before a module is flipped.
-        contradiction_m_s: how fast a wheel may slip because the wheels' angles belong to no common centre of
-            rotation, as they do while modules steer: beyond, all four wheels are slowed alike.
-        steering_limit_rad, steering_rate_rad_s: of a steering module.
+        still_speed_m_s: wheel speed below which a wheel holds its last angle.
+        flip_hysteresis_rad: angle beyond a quarter turn before a module is flipped.
+        contradiction_m_s: speed at which a wheel may slip because the wheels' angles belong to no common centre
+            of rotation, as they do while modules steer: beyond, all four wheels are slowed alike.
+        steering_limit_rad, steering_rate_rad_s: largest angle and largest rate of a steering module.
         wheel_speed_m_s, acceleration_m_s2: largest of any wheel; references and setpoints keep within.
         heading_limit_rad: largest heading of a reference on a wall.
         goal_position_m, goal_heading_rad: within these at the end, the robot is held.

@@ -14,9 +14,9 @@ class DeviceConfig(Strict):
     """Base of the devices' tables; a model adds `model: Literal["its name"] = "its name"` and its own keys.
 
     Attributes:
-        model: which model it is, within its kind.
+        model: name of the device's model, within its kind.
         backend: `real`, or `emulated` for a device that the bench emulates.
-        name: which one it is, where the bench has several of its kind.
+        name: name of the device among several of its kind on the bench.
     """
 
     PATHS: ClassVar[tuple[str, ...]] = ()

@@ -1,4 +1,4 @@
-"""What the robot stands on, how steep it is, and where the robot is set on it (`[environment]`)."""
+"""The surface under the robot, its tilt, and the robot's start pose on it (`[environment]`)."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class GateConfig(Strict):
     """chi-squared gates by degrees of freedom (0.999), and when a locked-out sensor is let in again.
 
     Attributes:
-        on: whether outliers are rejected at all.
+        on: true for the rejection of outliers.
         one_dof, three_dof: thresholds.
         reanchor_after: consecutive rejections before a sensor is re-anchored.
     """

@@ -18,9 +18,9 @@ class Bno055Config(ImuConfig):
 
     Attributes:
         port: any pyserial URL or device path.
-        baud: of the link; the BNO055 has 115200 only.
+        baud: baud rate of the link; the BNO055 has 115200 only.
         fusion_mode: `imu` ignores the magnetometer (steel walls, motors); `ndof` uses it.
-        external_crystal: whether a 32 kHz crystal is fitted (better clock and fusion).
+        external_crystal: true where a 32 kHz crystal is fitted (better clock and fusion).
         axis_map, axis_sign: registers 0x41 and 0x42; right-handed maps only (datasheet 3.4).
         mount_position_m, mount_rotation_wxyz: sensor (after the remap) in the body, m
             (arXiv 2509.04016).
@@ -31,7 +31,7 @@ class Bno055Config(ImuConfig):
         retry_budget_s: time one `read` may spend on repeating requests.
         retry_gap_s: pause before a request is repeated after an error reply.
         open_timeout_s: longest wait for a chip that is still booting.
-        check_period_s: how often mode and system status are read.
+        check_period_s: interval at which mode and system status are read.
         fail_after_s: uninterrupted failure that raises instead of being reported as data.
         outage_poll_s: time between polls while the sensor is silent.
         stuck_after_s: bit-identical data for longer than this are marked frozen.

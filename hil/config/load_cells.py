@@ -24,7 +24,7 @@ class LoadCellsConfig(DeviceConfig):
 
     Attributes:
         n_per_count: force of one count, by cell; negative where a cell is mounted the other way round.
-        zero_n: what each cell shows while the fan is off; `hil run adhesion_check` finds it.
+        zero_n: force that each cell shows while the fan is off; `hil run adhesion_check` finds it.
         rate_hz: samples per second: 10 or 80, by the converter's RATE pin.
         largest_n: each cell's range; a cell at its end counts as broken.
         open_timeout_s: longest wait for the first sample.
@@ -74,7 +74,7 @@ class LineCellsConfig(LoadCellsConfig):
 
     Attributes:
         port: device path or any pyserial URL; may be that of `[thrust]`, which only writes.
-        baud: of the line.
+        baud: baud rate of the line.
     """
 
     SHARES_PORT_WITH: ClassVar[tuple[str, ...]] = ("teensy",)

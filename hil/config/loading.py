@@ -105,7 +105,7 @@ def must_have_a_device(config: BenchConfig, source: str, otherwise: str) -> None
     """Refuse a bench without any device.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
         source: file or profile, as it was named.
         otherwise: consequence of a missing device, in words.
 
@@ -132,7 +132,7 @@ def load_bench(
         overrides: dotted key -> value, applied before validation. With another model of a device
             (`imu.model`) the keys of its table that only the model of the source has are left out.
         today: date for the validity of the record's parts, today by default.
-        seed: of the emulated world; identifies its robot in the record.
+        seed: seed of the emulated world; identifies its robot in the record.
 
     Raises:
         ConfigError: listing every problem with its dotted path, or a record that cannot be used.
@@ -184,7 +184,7 @@ def path_keys(names: Iterable[str]) -> tuple[str, ...]:
     """Dotted keys of a bench file that name a file or a folder.
 
     Args:
-        names: of the bench's devices; other names are ignored.
+        names: names of the bench's devices; other names are ignored.
     """
     models = (m for name in names if name in kinds() for m in kinds()[name].models)
     of_devices = (f"{m.kind}.{path}" for m in models for path in getattr(m.config, "PATHS", ()))
@@ -195,8 +195,8 @@ def bench_files(tree: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     """Files and folders that a bench file names, by dotted key; relative ones start at `folder`.
 
     Args:
-        tree: of the file, as `find_bench` gives it.
-        folder: where relative ones start.
+        tree: parsed bench file, as `find_bench` gives it.
+        folder: folder in which relative paths start.
     """
     found = {}
     for dotted in path_keys(tree):

@@ -18,7 +18,7 @@ class MocapConfig(DeviceConfig):
 
     Attributes:
         server: IPv4 address of the computer that runs Motive.
-        command_port, data_port: as set in Motive's streaming pane.
+        command_port, data_port: UDP ports of the server, as set in Motive's streaming pane.
         multicast: group that Motive streams to; None for unicast.
         local_address: IPv4 address of the interface to use; any when None.
         body: name or streaming id of the robot's rigid body.

@@ -24,9 +24,9 @@ def recorded_bench(
     Bounds and contradictions are not checked: they matter before a run, and this run is over.
 
     Args:
-        tree: of its header.
-        origin: what to name where it cannot be read.
-        packages: that the recording was made with, by `KIND` or `KIND.MODEL`.
+        tree: parsed configuration in its header.
+        origin: name of the recording, for errors.
+        packages: packages that the recording was made with, by `KIND` or `KIND.MODEL`.
 
     Raises:
         ConfigError: listing every problem with its dotted path.
@@ -77,8 +77,8 @@ def changed_since(tree: object, config: BenchConfig) -> list[str]:
     """Dotted keys in which a configuration differs from one that was recorded.
 
     Args:
-        tree: as it was recorded; one that cannot be read differs as a whole, with an empty key.
-        config: of today.
+        tree: configuration as it was recorded; one that cannot be read differs as a whole, with an empty key.
+        config: configuration of today.
     """
     if not isinstance(tree, Mapping):
         return [""]

@@ -29,9 +29,9 @@ class RobotConfig(Strict):
     """Nominal robot; body frame x forward, y left, wheels FL, BL, BR, FR; figures of arXiv 2509.04016.
 
     Attributes:
-        name: of this very robot; its record is refused to others. Left out, the bench's name.
+        name: name of this very robot; its record is refused to others. Left out, the bench's name.
         wheel_x_m, wheel_y_m, wheel_radius_m: contact points in the body, and radii.
-        mass_kg: with payload.
+        mass_kg: mass with payload.
         centre_of_mass_m: x, y in the body, height above the surface.
         yaw_inertia_kg_m2: about the centre of mass (assumed).
         outline_m: length along x and width along y.
@@ -39,8 +39,8 @@ class RobotConfig(Strict):
         thrust_compensation: share of the weight along the surface that the propellers carry.
         thrust_imbalance: (right - left) / both, of the propeller thrusts.
         propeller_y_m, propeller_height_m: lateral distance and height of the two propellers.
-        creep_ratio: how stiff its tyres are against creeping sideways, as a share of lengthwise; an
-            assumption for the wheel model `creep`.
+        creep_ratio: stiffness of its tyres against creeping sideways, as a share of lengthwise; an assumption
+            for the wheel model `creep`.
         supply_v: servo supply.
     """
 
@@ -101,9 +101,9 @@ class RobotConfig(Strict):
         """(4,) normal loads at rest by statics, N; zero for a wheel that would have to pull.
 
         Args:
-            tilt_rad: of the surface: 0 floor, pi/2 wall.
-            heading_rad: of the robot, from up the surface.
-            adheres: whether fan and propellers work, as they do on a wall.
+            tilt_rad: tilt of the surface: 0 floor, pi/2 wall.
+            heading_rad: heading of the robot, from up the surface.
+            adheres: True if fan and propellers work, as they do on a wall.
         """
         force_n, thrust_n = 0.0, 0.0
         if adheres:

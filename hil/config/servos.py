@@ -28,7 +28,7 @@ class ServosConfig(DeviceConfig):
 
     Attributes:
         port: any pyserial URL or device path.
-        baud: of the bus; the codes of the servo's Baud Rate register.
+        baud: baud rate of the bus; one that the servo's Baud Rate register has a code for.
         drive_ids, steer_ids: IDs in wheel order FL, BL, BR, FR.
         steer_mode: operating mode that the steering servos must have; drives must be in velocity mode.
         fast_sync_read: `auto` uses the fast reads when every firmware has them (45 on).
@@ -43,10 +43,11 @@ class ServosConfig(DeviceConfig):
         fail_after_s: uninterrupted failure of a servo that raises instead of being reported as data.
         watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: without a request for so long, the
             servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
-        health_period_s: how often voltage and temperature are read; torque and watchdog four times as often.
-        model_number: of all eight servos: 1010 (XH430-W210), 1000 (XH430-W350), 1050 (XH430-V210), 1040
-            (XH430-V350), 1030 (XM430-W210) or 1020 (XM430-W350). Where it is left out, the number that they
-            tell decides, and all eight must agree; emulated ones are then XH430-W210.
+        health_period_s: interval at which voltage and temperature are read; torque and watchdog four times as
+            often.
+        model_number: model number of all eight servos: 1010 (XH430-W210), 1000 (XH430-W350), 1050 (XH430-V210),
+            1040 (XH430-V350), 1030 (XM430-W210) or 1020 (XM430-W350). Where it is left out, the number that
+            they tell decides, and all eight must agree; emulated ones are then XH430-W210.
         min_firmware: oldest firmware that the servos may have.
         velocity_limit_rad_s: wheel rate goals are clipped to it.
         steer_limit_rad: largest steering goal to either side of the servo's centre (2048 counts), rad; goals
@@ -145,8 +146,8 @@ def _ram_problem(model: ServoModel, name: str, raw: int) -> str:
     """Why a bench may not have a register of a model written at open; empty where it may.
 
     Args:
-        model: of the servo, with its control table.
-        name: of the register.
+        model: model of the servo, with its control table.
+        name: name of the register.
         raw: count to write.
     """
     register = model.table.get(name)

@@ -21,8 +21,8 @@ def spread(tree: Mapping[str, Any], origin: str) -> dict[str, Any]:
     """A parsed bench file with a table for each device, by its name on the bench.
 
     Args:
-        tree: of the file; where it has such tables already, they stay.
-        origin: what to name in errors.
+        tree: parsed bench file; where it has such tables already, they stay.
+        origin: name of the file in errors.
 
     Raises:
         ConfigError: a name is missing, is none or is there twice, or a kind may be there once only.
@@ -104,7 +104,7 @@ def resolve_device(word: str, labels: Mapping[str, str | None]) -> str:
     """Find the device that a word names: by its name, by an alias, or by `KIND_NAME` of the bench's own.
 
     Args:
-        word: as a person types it.
+        word: name as a person types it.
         labels: `name` in the bench file of each device, by its name on the bench.
 
     Returns:

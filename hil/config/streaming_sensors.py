@@ -38,7 +38,7 @@ class SerialSensorConfig(StreamConfig):
 
     Attributes:
         port: device path or any pyserial URL.
-        baud: of the line.
+        baud: baud rate of the line.
     """
 
     port: str = Field("/dev/ttyUSB0", min_length=1)

@@ -12,7 +12,7 @@ from hil.config.values import Baud, Patience, Within
 from hil.core.errors import UsageError
 
 STEPS = 180
-"""Of a Teensy's throttle."""
+"""Number of throttle steps of the Teensy."""
 STEP_DOWN_S = 0.1
 _FOLLOWS_S = 0.6
 """Propellers without pulses have let a robot slide by then, and it is seen."""
@@ -25,7 +25,8 @@ class ThrustConfig(DeviceConfig):
     Attributes:
         force_n: set-point on a wall; `robot.thrust_compensation` of the weight along the surface when left
             out.
-        full_force_n: of all propellers together at full throttle; force goes with the square of the throttle.
+        full_force_n: force of all propellers together at full throttle; force goes with the square of the
+            throttle.
     """
 
     force_n: Thrust | None = None
@@ -60,7 +61,7 @@ class ThrustConfig(DeviceConfig):
 
         Args:
             force_n: last set-point.
-            least_n: that the robot needs; 0 for all that the controller may take away.
+            least_n: force that the robot needs; 0 for all that the controller may take away.
 
         Returns:
             Time (s); `inf` if unknown.
@@ -73,10 +74,10 @@ class TeensyConfig(ThrustConfig):
 
     Attributes:
         port: device path or any pyserial URL.
-        baud: of its serial line.
+        baud: baud rate of its serial line.
         repeat_s: interval at which the throttle is sent again: the next line replaces a lost one, and after a
             restart the propellers push again before the robot slides.
-        write_timeout_s: after which a port that takes nothing counts as failed.
+        write_timeout_s: time after which a port that takes nothing counts as failed.
     """
 
     model: Literal["teensy"] = "teensy"

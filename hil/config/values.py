@@ -86,8 +86,8 @@ class Within:
 
     Attributes:
         low, high: permitted, both included; anything that is no finite number is beyond them.
-        why: what the bounds come from.
-        smallest: what its size has to be at least, for a number of either sign that cannot be 0.
+        why: reason for the bounds.
+        smallest: least absolute value, for a number of either sign that cannot be 0.
     """
 
     low: float
@@ -138,8 +138,8 @@ def bounds_of(annotation: Any, metadata: Iterable[Any] = ()) -> Iterator[tuple[t
     """Every number that a field may hold: its type, and its bounds where it has some.
 
     Args:
-        annotation: of the field.
-        metadata: of the field.
+        annotation: type of the field, with its annotations.
+        metadata: further annotations of the field.
     """
     if get_origin(annotation) is Annotated:
         plain, *more = get_args(annotation)
@@ -203,7 +203,7 @@ WheelRate = Annotated[float, Within(0.01, TOP_WHEEL_RATE_RAD_S, "rad/s; no XH430
 
 Sign = Annotated[int, Within(-1, 1, "-1 where something is mounted the other way round", smallest=1)]
 Signs = tuple[Sign, Sign, Sign, Sign]
-"""Of the four wheels, FL, BL, BR, FR."""
+"""One sign per wheel, in the order FL, BL, BR, FR."""
 
 Baud = Annotated[int, Within(1200, 12_000_000, "bits per second of a serial line")]
 NetworkPort = Annotated[int, Within(1, 65_535, "a UDP port")]

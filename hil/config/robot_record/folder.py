@@ -61,7 +61,7 @@ class RobotRecord:
     """The record in a folder, which need not exist yet.
 
     Args:
-        folder: of the record.
+        folder: path of the folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -156,10 +156,10 @@ class RobotRecord:
         An older part that was measured on top of a part which changes now is left out.
 
         Args:
-            parts: by name.
-            robot: that the parts are of.
+            parts: parts to put in, by name.
+            robot: robot that the parts are of.
             created: date and time, ISO 8601.
-            why: what made them.
+            why: origin of the parts, in words.
 
         Returns:
             Names of the parts that were left out.
@@ -265,9 +265,9 @@ def check_robot_is(
     Args:
         there: robot that the file is of.
         here: robot that is to use it.
-        message: of the error.
-        remedy: of the error.
-        place: of the identity `there`, for the message.
+        message: first line of the error.
+        remedy: remedy that the error states.
+        place: place of the identity `there`, for the message.
     """
     problems = tuple(there.differences(here, place))
     if problems:
@@ -316,7 +316,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _write_whole(path: Path, content: bytes) -> None:
-    """As `put_whole`; raises `ConfigError`."""
+    """Write a file by `put_whole`; raises `ConfigError`."""
     try:
         put_whole(path, content)
     except OSError as error:

@@ -9,7 +9,7 @@ from typing import Any
 ZERO_LIMIT_RAD = math.radians(6.0)
 """A steering axis that is further off has its horn on another tooth."""
 SCALE_LIMITS = (0.7, 1.35)
-"""Of a tracking camera: distance that it reports over the true one; users of the T265 report up to 20 %."""
+"""Limits of a camera's scale: reported over true distance; users of the T265 report deviations up to 20 %."""
 _LIMITS: Mapping[str, tuple[float, float, str, str]] = {
     "alignment.steer_zero_rad": (-ZERO_LIMIT_RAD, ZERO_LIMIT_RAD, "rad", "steering_zero"),
     "tracker.scale": (*SCALE_LIMITS, "times the true distance", "tracker_extrinsics"),

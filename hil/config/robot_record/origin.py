@@ -31,9 +31,9 @@ class Origin:
     """Where a file comes from.
 
     Attributes:
-        robot: that it is of; None if the file does not name one.
-        verdict: of the run that wrote it; `not verified` if unknown.
-        procedure: of that run; `taken from a file` if unknown.
+        robot: robot that it is of; None if the file does not name one.
+        verdict: verdict of the run that wrote it; `not verified` if unknown.
+        procedure: name of that run's procedure; `taken from a file` if unknown.
     """
 
     robot: Identity | None
@@ -53,8 +53,8 @@ class Origin:
         """Refuse the result of another robot.
 
         Args:
-            robot: that is to use it.
-            path: of the file.
+            robot: robot that is to use it.
+            path: path of the file.
             of_this_robot: the user confirms that a file without an identity is of this robot.
 
         Raises:

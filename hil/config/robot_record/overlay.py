@@ -25,7 +25,7 @@ def apply_record(tree: dict[str, Any], overrides: Mapping[str, object], today: d
     """Put the values of the record that a bench file or an override names into the parsed file.
 
     Args:
-        tree: of the bench file, changed in place.
+        tree: parsed bench file, changed in place.
         overrides: dotted key -> value, which go on top later.
         today: date for the validity of parts.
 
@@ -129,8 +129,8 @@ def identity(config: Any, seed: int | None = None) -> Identity:
     """The identity of the robot of a bench: name, servos, wheels and body.
 
     Args:
-        config: of the bench.
-        seed: of the emulated world, which draws what an emulated robot is; None where it is not known.
+        config: configuration of the bench.
+        seed: seed of the emulated world, which draws what an emulated robot is; None where it is not known.
     """
     from hil.config.servos import ServosConfig
 
@@ -160,8 +160,8 @@ def check_record(file: RecordFile | None, config: Any, seed: int | None) -> None
 
     Args:
         file: the version in place; None without a record.
-        config: of the bench.
-        seed: of the emulated world, if known.
+        config: configuration of the bench.
+        seed: seed of the emulated world, if known.
     """
     settings = config.record
     unknown = [name for name in settings.without if name not in PARTS]

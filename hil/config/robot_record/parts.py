@@ -30,11 +30,11 @@ class PartKind:
     """What a part may hold.
 
     Attributes:
-        title: in words.
-        keys: of the bench file, dotted; one that ends in a dot stands for all below it.
+        title: short description of the part.
+        keys: dotted keys of the bench file; one that ends in a dot stands for all below it.
         measured_by: procedure that finds it.
         on: parts that it is measured on top of.
-        yields: whether the bench file overrides the part; else the part overrides the bench file.
+        yields: True if the bench file overrides the part; else the part overrides the bench file.
     """
 
     title: str
@@ -157,13 +157,13 @@ class Part(_Model):
             that does not say.
         measured: date and time, ISO 8601.
         bench: name of the bench.
-        surface: of the environment that it holds for; empty for everywhere.
+        surface: surface that it holds for; empty for everywhere.
         until: last day on which it may be used, ISO 8601; empty without end.
         recordings: SHA-256 of the files that it was found in, by name.
         values: dotted keys of the bench file -> value. For a file it is a name in the record's `files`.
         files: SHA-256 of such files, by key.
         figures: measured numbers by name.
-        covariance: of some of them.
+        covariance: covariance of some of them.
         made_with: digests of the parts that it was measured on top of.
     """
 
@@ -252,11 +252,11 @@ class RecordFile(_Model):
 
     Attributes:
         version, created: number, and date and time.
-        why: what made it.
-        robot: that the record is of.
-        parts: by name, see `PARTS`.
+        why: origin of this version, in words.
+        robot: robot that the record is of.
+        parts: parts by name, see `PARTS`.
         previous: digest of the version before it, empty for the first.
-        sha256: of everything else here.
+        sha256: digest of everything else here.
     """
 
     schema_version: Literal[1] = Field(alias="schema")
@@ -280,7 +280,7 @@ class RecordFile(_Model):
         return value
 
     def tree(self) -> dict[str, Any]:
-        """As written, without the digest."""
+        """The version as written, without the digest."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True, exclude={"sha256"})
 
     def sealed(self) -> RecordFile:

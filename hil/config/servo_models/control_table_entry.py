@@ -10,9 +10,9 @@ class Register:
     """One entry of the control table.
 
     Attributes:
-        address, size: where it is, bytes.
+        address, size: address and length of the entry, bytes.
         writable: access RW.
-        eeprom: in the area that is kept without power and locked while torque is on.
+        eeprom: True for the area that is kept without power and locked while torque is on.
         signed: two's complement.
         default: raw count after a factory reset.
         low, high: permitted raw counts, None where the register cannot be written or another bounds it.

@@ -32,8 +32,8 @@ class Motor:
     """What the emulated motor is made of, at the output of the gear.
 
     Attributes:
-        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: of motor and gear.
-        inertia_kg_m2: of rotor and gear.
+        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: constants of motor and gear.
+        inertia_kg_m2: moment of inertia of rotor and gear.
         overload_a: current from which on the emulated servo counts overload.
     """
 
@@ -52,14 +52,14 @@ class ServoModel:
         number, name: model number on the bus, and the vendor's name.
         table: control table by register name.
         table_size: bytes from address 0 to its end.
-        counts_per_turn, zero_counts: of positions; the centre is the zero of an angle.
+        counts_per_turn, zero_counts: counts of a position; the centre is the zero of an angle.
         fast_read_firmware: the first that knows fast sync reads.
         gear_ratio: motor turns per output turn.
         a_per_count: SI value of one count of a current.
         supply_v: lowest and highest permitted input voltage.
         recommended_v: input voltage that the vendor recommends.
         performance: the specification's rows, by voltage.
-        motor: of the emulated servo.
+        motor: motor of the emulated servo.
     """
 
     number: int
