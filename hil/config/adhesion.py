@@ -24,8 +24,8 @@ class AdhesionConfig(DeviceConfig):
     Attributes:
         force_n: set-point on a wall; `robot.edf_force_n` when left out.
         highest_force_n: largest set-point.
-        by_need: true for a force that follows posture, surface and tilt instead of `force_n` while the robot is
-            driven: a tenth more than the limit at which it would be stopped.
+        by_need: true for a force that follows posture, surface and tilt instead of `force_n` while the robot
+            is driven: a tenth more than the limit at which it would be stopped.
         rated_force_n, rated_rpm: force at a speed; it goes with the square of the speed. `hil run
             adhesion_check` finds it.
         rated_input_a, rated_input_v: current from the battery at that speed, and its voltage then.

@@ -29,8 +29,8 @@ class ControlConfig(Strict):
         servo_lag_s: servo, reporting and bus lag in the optimal law's model.
         still_speed_m_s: wheel speed below which a wheel holds its last angle.
         flip_hysteresis_rad: angle beyond a quarter turn before a module is flipped.
-        contradiction_m_s: speed at which a wheel may slip because the wheels' angles belong to no common centre
-            of rotation, as they do while modules steer: beyond, all four wheels are slowed alike.
+        contradiction_m_s: speed at which a wheel may slip because the wheels' angles belong to no common
+            centre of rotation, as they do while modules steer: beyond, all four wheels are slowed alike.
         steering_limit_rad, steering_rate_rad_s: largest angle and largest rate of a steering module.
         wheel_speed_m_s, acceleration_m_s2: largest of any wheel; references and setpoints keep within.
         heading_limit_rad: largest heading of a reference on a wall.

@@ -18,21 +18,22 @@ class Ros2Config(Strict):
     """The bench on ROS 2 (`--ros2`), and a controller there (`--controller ros2:TOPIC`).
 
     Attributes:
-        domain: number of the DDS domain, where `--ros2-domain` names none; without it that of `ROS_DOMAIN_ID`,
-            else 0.
+        domain: number of the DDS domain, where `--ros2-domain` names none; without it that of
+            `ROS_DOMAIN_ID`, else 0.
         interface: network interface beside loopback, where `--ros2-interface` names none: every host that
             reaches it can read the bench, and drive it where it takes commands.
-        distribution: distribution of ROS 2 on the other side: `humble`, `iron`, `jazzy`, `kilted`, `lyrical` or
-            `rolling`: `ros2 node list` shows the bench there. Left out, it does not, because Humble describes
-            nodes otherwise than later ones do.
+        distribution: distribution of ROS 2 on the other side: `humble`, `iron`, `jazzy`, `kilted`, `lyrical`
+            or `rolling`: `ros2 node list` shows the bench there. Left out, it does not, because Humble
+            describes nodes otherwise than later ones do.
         node: name that the bench has in that list.
         names: other names of topics that are published, by their own names:
             `names = { "/joint_states" = "/robot_joint_states" }`.
-        wait_share: share of a cycle for which, in real time, the loop waits for the answer to what it has just
-            published; then the newest command counts. 0 waits for none.
+        wait_share: share of a cycle for which, in real time, the loop waits for the answer to what it has
+            just published; then the newest command counts. 0 waits for none.
         late_after_s: age at which the newest command is too old: the robot stops.
         answer_timeout_s: longest wait of a cycle for its command in virtual time, by the host's clock.
-        start_timeout_s: longest wait of a run for the first command; `hil live` waits for as long as it takes.
+        start_timeout_s: longest wait of a run for the first command; `hil live` waits for as long as it
+            takes.
     """
 
     domain: (

@@ -45,9 +45,9 @@ class ServosConfig(DeviceConfig):
             servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
         health_period_s: interval at which voltage and temperature are read; torque and watchdog four times as
             often.
-        model_number: model number of all eight servos: 1010 (XH430-W210), 1000 (XH430-W350), 1050 (XH430-V210),
-            1040 (XH430-V350), 1030 (XM430-W210) or 1020 (XM430-W350). Where it is left out, the number that
-            they tell decides, and all eight must agree; emulated ones are then XH430-W210.
+        model_number: model number of all eight servos: 1010 (XH430-W210), 1000 (XH430-W350), 1050
+            (XH430-V210), 1040 (XH430-V350), 1030 (XM430-W210) or 1020 (XM430-W350). Where it is left out, the
+            number that they tell decides, and all eight must agree; emulated ones are then XH430-W210.
         min_firmware: oldest firmware that the servos may have.
         velocity_limit_rad_s: wheel rate goals are clipped to it.
         steer_limit_rad: largest steering goal to either side of the servo's centre (2048 counts), rad; goals

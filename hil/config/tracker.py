@@ -40,13 +40,13 @@ class T265Config(TrackerConfig):
             `max_rate_rad_s` explain; anything larger is a relocalisation.
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
-        mapping: true if the camera keeps a map of what it sees; the next three keys need one. Leave it off for
-            a robot that follows a path: a pose that jumps is no motion.
+        mapping: true if the camera keeps a map of what it sees; the next three keys need one. Leave it off
+            for a robot that follows a path: a pose that jumps is no motion.
         relocalisation: true if the camera searches for its position in that map.
         pose_jumping: true if its poses jump where the map corrects them.
         map_preservation: true if it keeps the map from one start to the next.
-        wheel_odometry: true if it gets the velocity of the wheels, which makes it robust on wheels. Camera and
-            wheels are then no longer independent measurements.
+        wheel_odometry: true if it gets the velocity of the wheels, which makes it robust on wheels. Camera
+            and wheels are then no longer independent measurements.
         wheel_sigma_m_s: standard uncertainty of that velocity, per axis; from the noise of the wheels
             (`estimator.wheels`) at the highest speed when None.
         stale_after_s: poses that come later than this are marked stale.

@@ -34,11 +34,11 @@ class Watched:
     """A device that was read at the loop rate for a while.
 
     Attributes:
-        kind: of the device.
+        kind: kind of the device.
         config: its table of the bench file.
         device: its driver, open.
-        samples: what it delivered.
-        watch_s: for how long it was read.
+        samples: samples that it delivered.
+        watch_s: time for which it was read.
         clock: the bench clock.
         loop_hz: loop rate.
     """
@@ -75,8 +75,8 @@ def surplus(count: int, due: float) -> float:
     """Share of samples beyond those due; 0 or less where there are not too many.
 
     Args:
-        count: of all samples, good or bad.
-        due: how many a healthy device delivers.
+        count: number of all samples, good or bad.
+        due: number that a healthy device delivers.
     """
     return (count - _AT_THE_ENDS) / due - 1.0 if due else 0.0
 
@@ -87,10 +87,10 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
     A device that restarts while it is watched is a failure, however many samples are good.
 
     Args:
-        name: of the device.
+        name: name of the device.
         statuses: one for each sample.
-        due: how many there should be.
-        remedy: what to do when many are missing; where most of the bad ones repeat the same values, that is
+        due: number of samples that there should be.
+        remedy: advice for when many are missing; where most of the bad ones repeat the same values, that is
             named instead.
     """
     seen = Counter(statuses)

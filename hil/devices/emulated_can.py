@@ -39,9 +39,9 @@ def on_can(
         subnet: third byte of its multicast group, so that devices of one process have different groups; at
             standard ports devices of one bus share one.
         dbc: path for clients; empty where there is none.
-        listens: whether it receives frames from clients.
+        listens: True if it receives frames from clients.
         printed: further values for clients.
-        parts: of the connection in this process.
+        parts: parts of the connection in this process.
         begin: called when it is connected in this process; it may start the device before the bench opens it.
     """
 

@@ -41,11 +41,11 @@ class Wired(EmulatedDevice):
     serving: Callable[[], Transport]
 
     def connect(self) -> Connection:
-        """As `EmulatedDevice.connect`."""
+        """Connection in this process, as of `EmulatedDevice.connect`."""
         return self.connecting()
 
     def serve(self) -> Transport:
-        """As `EmulatedDevice.serve`."""
+        """Server for clients, as of `EmulatedDevice.serve`."""
         return self.serving()
 
 
@@ -78,9 +78,9 @@ def on_serial_line(
 
     Args:
         request: its world and its table of the bench file.
-        chip: what is at the far end of the line.
+        chip: chip at the far end of the line.
         latency_s: latency timer of the adapter.
-        printed: what `hil emulate` prints beside the port; the table's baud rate by default.
+        printed: values that `hil emulate` prints beside the port; the table's baud rate by default.
     """
     line = SerialLine(request.world, chip, name=request.name, latency_s=latency_s)
     if printed is None:

@@ -61,7 +61,7 @@ class CanModel(DeviceModel):
 
     Attributes:
         subnet: third byte of the multicast group at which `hil emulate` serves it; 0: by its name.
-        listens: whether it receives frames from clients.
+        listens: True if it receives frames from clients.
         printed: keys of its table that `hil emulate` prints beside bus and bit rate.
     """
 

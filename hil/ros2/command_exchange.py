@@ -38,12 +38,12 @@ class Exchange:
     """Exchange of cycles and commands with one program, for one bench.
 
     Args:
-        topic: of its commands.
+        topic: topic of its commands.
         shown: publishes the cycles.
         config: `[ros2]` of the bench file.
-        clock: of the host.
+        clock: clock of the host.
         wall_ns: ROS time at the bench clock's zero.
-        patient: whether to wait for the first command without a timeout.
+        patient: True to wait for the first command without a timeout.
 
     Attributes:
         cycles, answered: numbers of cycles published since the bench was opened, and of those with a
@@ -143,7 +143,7 @@ class Exchange:
         return ExternalCommands((), PUBLISHERS, self._topic.several_message())
 
     def _stop_of_silence(self, now_ns: int, *, received: bool) -> ExternalCommands | None:
-        """In real time, stop if the first command does not come; later the controller checks the age."""
+        """Stop in real time if the first command does not come; later the controller checks the age."""
         self._received = self._received or received
         if self._began_ns is None:
             self._began_ns = now_ns

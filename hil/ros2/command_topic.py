@@ -39,13 +39,13 @@ class CommandTopic:
     """Takes the messages of a topic.
 
     Args:
-        participant: on ROS 2.
+        participant: participant on ROS 2.
         topic: its name, with a slash.
-        reliable: whether to require reliable delivery; best-effort writers do not match then.
-        types: of messages that are received.
+        reliable: True to require reliable delivery; best-effort writers do not match then.
+        types: types of messages that are received.
 
     Attributes:
-        name: of the topic.
+        name: name of the topic.
         where: topic, types and network, in words.
     """
 
@@ -144,7 +144,7 @@ def commands_of(messages: Sequence[tuple[str, bytes]], t_ns: int, wall_ns: int) 
 
     Args:
         messages: types and bytes.
-        t_ns: when they came, bench clock.
+        t_ns: time at which they came, bench clock.
         wall_ns: ROS time at the bench clock's zero.
 
     Raises:

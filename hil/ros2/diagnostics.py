@@ -18,7 +18,7 @@ class Diagnostics:
     """Makes the messages of one bench.
 
     Args:
-        name: of the bench; goes into the messages as the hardware.
+        name: name of the bench; goes into the messages as the hardware.
         ros: makes and stamps messages.
     """
 
@@ -30,7 +30,7 @@ class Diagnostics:
 
         Args:
             t_ns: bench time.
-            events: of the cycle.
+            events: events of the cycle.
         """
         statuses = [self._status(_LEVELS.get(e.level, _WARN), e.source, e.message, {}) for e in events]
         return self._array(t_ns, statuses)
@@ -40,7 +40,7 @@ class Diagnostics:
 
         Args:
             t_ns: bench time.
-            held: as `hil.core.interfaces.HELD_NOTE` has it: state, `moved_m`, why.
+            held: data of the note `hil.core.interfaces.HELD_NOTE`: state, `moved_m`, why.
         """
         state = str(held["state"])
         values = {} if held["moved_m"] is None else {"moved_m": str(held["moved_m"])}

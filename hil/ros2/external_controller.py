@@ -38,7 +38,7 @@ class JointLimits:
         wheel_rate_rad_s, steering_rad: largest size of a joint's command; a larger one stops the robot.
         steering_rate_rad_s: rate limit of the steering set-points.
         late_after_s: age beyond which a command is too old.
-        period_s: of the loop.
+        period_s: period of the loop.
     """
 
     wheel_rate_rad_s: float
@@ -53,7 +53,7 @@ class Ros2Controller(ExternalController):
 
     Args:
         name: `ros2:` and the topic.
-        limits: of joint commands.
+        limits: limits of joint commands.
         alignment: signs and zeros of the joints.
         modules: turn velocities of the body into setpoints of the wheels.
     """
@@ -198,8 +198,8 @@ def body_velocity(command: ExternalCommand, topic: str, surface: str) -> Array:
 
     Args:
         command: a twist.
-        topic: from which it came.
-        surface: what the robot is on, for the message.
+        topic: topic from which it came.
+        surface: name of the robot's surface, for the message.
 
     Raises:
         SafetyStop: it is not finite, or leaves the surface.

@@ -45,8 +45,8 @@ def sample_type(kind: str, distribution: str = "humble") -> Any:
     `sample_type(kind)(data)` is a sample to write; `data` holds its CDR bytes, also of one that was taken.
 
     Args:
-        kind: for example `sensor_msgs/msg/Imu`.
-        distribution: of ROS 2, that defines it.
+        kind: name of the message type, for example `sensor_msgs/msg/Imu`.
+        distribution: distribution of ROS 2 that defines it.
 
     Raises:
         ConfigError: ROS 2 has no such type, or one that DDS cannot carry here.

@@ -24,9 +24,10 @@ class Network:
     """Where the bench can be found.
 
     Attributes:
-        domain: of DDS, as `ROS_DOMAIN_ID`.
+        domain: number of the DDS domain, as in `ROS_DOMAIN_ID`.
         interface: network interface beside loopback; empty, or loopback itself, for loopback alone.
-        distribution: of ROS 2, on which the bench is announced as a node; None for no announcement.
+        distribution: distribution of ROS 2 for which the bench is announced as a node; None for no
+            announcement.
         node: its name there.
     """
 
@@ -73,9 +74,9 @@ def network_of(
 
     Args:
         config: `[ros2]` of the bench file.
-        environment: of the process.
-        domain: that was asked for; None if none was.
-        interface: that was asked for; empty if none was.
+        environment: environment variables of the process.
+        domain: domain that was asked for; None if none was.
+        interface: interface that was asked for; empty if none was.
 
     Raises:
         UsageError: the environment names no domain.

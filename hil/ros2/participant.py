@@ -55,10 +55,10 @@ class NodeEntry:
     """Announces one node; DDS keeps the newest message for subscribers that come later.
 
     Args:
-        participant: of Cyclone DDS.
-        name: of the node.
-        distribution: of ROS 2.
-        quality: of a topic whose last message reaches later subscribers, too.
+        participant: participant of Cyclone DDS.
+        name: name of the node.
+        distribution: distribution of ROS 2.
+        quality: quality of service of a topic whose last message reaches later subscribers, too.
     """
 
     def __init__(self, participant: Any, name: str, distribution: str, quality: Qos) -> None:
@@ -96,13 +96,13 @@ class Reader:
     A best-effort reader matches writers of either reliability.
 
     Args:
-        participant: of Cyclone DDS.
-        name: of the ROS 2 topic, with a slash.
-        kind: of its messages.
-        reliable: whether to require reliable delivery.
+        participant: participant of Cyclone DDS.
+        name: name of the ROS 2 topic, with a slash.
+        kind: type of its messages.
+        reliable: True to require reliable delivery.
 
     Attributes:
-        entity: of Cyclone DDS; None once it is closed.
+        entity: reader of Cyclone DDS; None once it is closed.
     """
 
     def __init__(self, participant: Any, name: str, kind: str, *, reliable: bool = False) -> None:
@@ -141,10 +141,10 @@ class Participant:
     """One participant; its topics have the names that ROS 2 gives them.
 
     Args:
-        network: where it can be found.
+        network: network on which it can be found.
 
     Attributes:
-        network: as given.
+        network: network on which it can be found.
         lost: messages that Cyclone DDS did not take.
 
     Raises:
@@ -179,8 +179,8 @@ class Participant:
         """Create the writer of a topic, unless there is one.
 
         Args:
-            name: of the ROS 2 topic, with a slash.
-            kind: of its messages.
+            name: name of the ROS 2 topic, with a slash.
+            kind: type of its messages.
             shown: other name that it has on the network; empty for the same.
         """
         if name in self._writers:
@@ -204,9 +204,9 @@ class Participant:
         """Create a reader of a topic.
 
         Args:
-            name: of the ROS 2 topic, with a slash.
-            kind: of its messages.
-            reliable: as of `Reader`.
+            name: name of the ROS 2 topic, with a slash.
+            kind: type of its messages.
+            reliable: True to require reliable delivery.
         """
         self._readers.append(Reader(self._participant, name, kind, reliable=reliable))
         self._announce_node()
@@ -223,7 +223,7 @@ class Participant:
         """The writers that match the readers now.
 
         Args:
-            readers: by the type of their messages.
+            readers: readers by the type of their messages.
         """
         return publishers_of(self._participant, {kind: reader.entity for kind, reader in readers.items()})
 
@@ -231,7 +231,7 @@ class Participant:
         """Types, as DDS names them, with which others write a topic.
 
         Args:
-            name: of the ROS 2 topic, with a slash.
+            name: name of the ROS 2 topic, with a slash.
             kinds: types of messages that are left out.
         """
         known = {sample_type(kind).__idl_typename__.replace(".", "::") for kind in kinds}

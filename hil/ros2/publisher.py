@@ -42,9 +42,9 @@ class Ros2Publisher:
     """A participant on ROS 2 for the benches of one command, one after the other.
 
     Args:
-        network: where it can be found.
+        network: network on which it can be found.
         commanded_by: topic from which a program drives the benches; empty for none.
-        patient: whether to wait, in real time, for its first command without a timeout.
+        patient: True to wait, in real time, for its first command without a timeout.
 
     Attributes:
         participant: DDS participant of its topics.
@@ -68,7 +68,7 @@ class Ros2Publisher:
         """A sink for one bench; creates writers for those of its topics that have none yet.
 
         Args:
-            header: of the bench, as its recordings have it.
+            header: header of the bench, as its recordings have it.
         """
         offset = recorded_offset(header)
         # simulated time begins at 1 s, since 0 means "no time yet", and the next bench's after this one's
@@ -108,7 +108,7 @@ class _Messages:
 
     Args:
         publisher: sends them.
-        header: of the bench.
+        header: header of the bench, as its recordings have it.
         wall_ns: ROS time at the bench clock's zero.
         passed: called with the ROS time of every cycle; None in real time, where there is no `/clock`.
 
@@ -223,9 +223,9 @@ class _Commanding(_WithinTheCycle, CommandingSink):
     """Sink that sends within the cycle, and receives the command of the program that drives.
 
     Args:
-        messages: of the bench.
-        exchange: with the program.
-        wait_ns: after the beginning of a cycle, how long to wait for its command; None for lockstep.
+        messages: messages of the bench.
+        exchange: exchange with the program.
+        wait_ns: longest wait for a command from the beginning of its cycle; None for lockstep.
     """
 
     def __init__(self, messages: _Messages, exchange: Exchange, wait_ns: int | None) -> None:

@@ -26,9 +26,9 @@ class Publisher:
 
     Attributes:
         handle: DDS handle, which its messages carry.
-        kind: of its messages.
+        kind: type of its messages.
         program: its process, else its identifier on DDS, in words.
-        lease_s: for how long DDS lists it after it was killed; None if unknown.
+        lease_s: time for which DDS lists it after it was killed; None if unknown.
     """
 
     handle: int
@@ -62,7 +62,7 @@ def publishers_of(participant: Any, entities: Mapping[str, Any]) -> Iterator[Pub
     """The writers that match readers of Cyclone DDS now.
 
     Args:
-        participant: of the readers.
+        participant: participant of the readers.
         entities: readers, by the type of their messages.
     """
     seen = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant).read(N=_MOST)

@@ -48,8 +48,8 @@ def commanded_on_can(
         request: the world and the table of the bench file.
         channel: their bus.
         nodes: the controllers; they begin in use with the bench.
-        subnet: as in `on_can`.
-        dbc: as in `on_can`.
+        subnet: third byte of the multicast group, as in `on_can`.
+        dbc: path for clients, as in `on_can`.
         printed: keys of the table that are printed for clients.
     """
     values = {key: getattr(request.config, key) for key in printed}
@@ -81,7 +81,7 @@ class DaemonInWorld(MotorCommander, Scheduled):
     """A daemon that sends in world time.
 
     Args:
-        world: of the fan.
+        world: world of the fan.
     """
 
     announces = True

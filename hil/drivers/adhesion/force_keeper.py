@@ -86,7 +86,7 @@ class ForceKeeper:
 
         Args:
             speed_rpm: speed to keep.
-            press: whether to press so much by every measurement, because the robot is losing its hold.
+            press: True to press so much by every measurement, because the robot is losing its hold.
         """
         self._wanted_rpm, self._next_ns, self._arrived = speed_rpm, None, False
         now = self._now

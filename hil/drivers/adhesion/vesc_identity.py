@@ -32,7 +32,7 @@ class BusReplies:
 
     Attributes:
         key: key of the bench file that holds the controller's id.
-        pongs, statuses: how often each controller answered the one ping, and sent status message 1.
+        pongs, statuses: numbers of answers to the one ping, and of status messages 1, by controller.
         messages: numbers of the status messages that the controller itself sent.
     """
 
@@ -143,7 +143,7 @@ def discover_controllers(
 
     Args:
         link: open bus.
-        config: of the configured controller.
+        config: configuration of the wanted controller.
         clock: the bench clock.
         answers: receives the settings of the controller.
         listen_only: send nothing.

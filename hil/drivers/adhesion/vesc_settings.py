@@ -21,12 +21,12 @@ QUESTIONS = (_FW_VERSION, _GET_APPCONF)
 
 @dataclass(frozen=True)
 class Settings:
-    """As set in VESC Tool (App Settings, General).
+    """Settings of a controller, as set in VESC Tool (App Settings, General).
 
     Attributes:
         controller_id: its id.
         timeout_s: time without a command after which it releases the motor.
-        rates_hz, messages: of its two groups of status messages.
+        rates_hz, messages: rates and message numbers of its two groups of status messages.
     """
 
     controller_id: int

@@ -48,7 +48,7 @@ _ANGLES_RAD = tuple(
 
 
 def decode_words(words: Sequence[int], *, yellow_mode: bool) -> tuple[list[float], tuple[Status, ...]]:
-    """As `decode_word` for several; -1 stands for a missing word."""
+    """Decode several words, each as by `decode_word`; -1 stands for a missing word."""
     meanings, ok = _STATUS[yellow_mode], _OK
     angles, statuses = [], []
     for word in words:

@@ -36,7 +36,7 @@ class RateLimitedWarning:
     """Logs one kind of warning, at most once a second.
 
     Args:
-        log: where it goes.
+        log: destination of the warnings.
     """
 
     def __init__(self, log: logging.Logger) -> None:
@@ -123,7 +123,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         }
 
     def reopen(self) -> None:
-        """As `open`, after an outage: sequence numbers of sample sets go on."""
+        """Open again after an outage: sequence numbers of sample sets go on."""
         self._resumed_at = max(self._resumed_at, self._timeline.sequence)
         self.open()
         self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)
@@ -272,7 +272,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {text}")
 
     def _cut_short(self, host_ns: int) -> EncoderSample | None:
-        """As `_finish`, for a set that lacks frames."""
+        """The sample of a set that lacks frames; else as `_finish`."""
         self.incomplete += 1
         return self._finish(host_ns)
 

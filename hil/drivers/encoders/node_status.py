@@ -92,8 +92,8 @@ class NodeStatus:
         config: DBC and address of the node; a DBC need not describe a status frame.
 
     Attributes:
-        heard: whether a status frame has come.
-        counted: what has been counted since the first status frame, in words.
+        heard: True once a status frame has come.
+        counted: errors that the node has counted since its first status frame, in words.
 
     Raises:
         DataError: the DBC cannot be read.

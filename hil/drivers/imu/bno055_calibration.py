@@ -32,7 +32,7 @@ class ImuCalibration:
 
     @staticmethod
     def from_bytes(data: bytes) -> ImuCalibration:
-        """From the register block; raises `DataError` for another length."""
+        """Decode the register block; raises `DataError` for another length."""
         if len(data) != SIZE:
             raise DataError("", f"IMU calibration has {len(data)} bytes", expected=_FORM)
         v = _LAYOUT.unpack(data)

@@ -108,7 +108,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._repair: Repair | None = None
 
     def reopen(self) -> None:
-        """As `open`, after an outage: sample numbers go on, and the first sample has status RESET."""
+        """Open again after an outage: sample numbers go on, and the first sample has status RESET."""
         self.open()
         self._was_reset = True
 

@@ -44,9 +44,8 @@ class ExchangeError(Exception):
 class Link:
     """An open port to one chip.
 
-    Attributes:
-        asked_ns: when the latest request was handed to the port.
-        port_failures: exchanges in a row in which the port itself failed.
+    Attributes: asked_ns: time at which the latest request was handed to the port. port_failures: exchanges in
+    a row in which the port itself failed.
     """
 
     def __init__(self, config: Bno055Config, clock: Clock, name: str) -> None:

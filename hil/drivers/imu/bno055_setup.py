@@ -46,7 +46,7 @@ class Repair:
     """A set-up that is done step by step, so that it holds up no control cycle.
 
     Args:
-        link: to the chip.
+        link: link to the chip.
         steps: the writes.
         deadline_ns: time after which a failed step raises.
     """
@@ -78,7 +78,7 @@ class Chip:
     """One chip behind an open link.
 
     Args:
-        link: to the chip.
+        link: link to the chip.
         config: mode, axes, budgets.
         clock: the bench clock.
         device: name in errors.

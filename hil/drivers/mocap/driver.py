@@ -102,7 +102,7 @@ class NatNetMocap(Sensor[MocapSample]):
         }
 
     def reopen(self) -> None:
-        """As `open`, after an outage: sample numbers go on."""
+        """Open again after an outage: sample numbers go on."""
         self._resumed_at = max(self._resumed_at, self._seq_base + self._number)
         self.open()
         self._seq_base = max(0, self._resumed_at - self._number)

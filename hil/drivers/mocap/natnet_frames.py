@@ -99,7 +99,7 @@ class FrameParser:
         self._shape: _Shape | None = None
 
     def parse(self, payload: bytes) -> Frame:
-        """As `parse_frame`."""
+        """Parse a message as `parse_frame` does."""
         frame = self._shape.frame(payload) if self._shape is not None else None
         if frame is None:
             frame = parse_frame(payload, self.version, self.body_id)
@@ -112,9 +112,10 @@ class _Shape:
     """Layout of a frame whose sections give their sizes, and the bytes that must match for it to apply.
 
     Args:
-        layout: of the whole payload: the number, heads of sections and identifiers, the body, the suffix.
+        layout: layout of the whole payload: the number, heads of sections and identifiers, the body, the
+            suffix.
         known: values of heads and identifiers.
-        place: of the body among the values that are unpacked.
+        place: index of the body among the values that are unpacked.
     """
 
     def __init__(self, layout: struct.Struct, known: tuple[bytes, ...], place: int) -> None:

@@ -18,7 +18,7 @@ class AnswerTimeouts:
     Args:
         config: IDs, and `fail_after_s`.
         device: name in errors.
-        now_ns: when the watch begins: all count as usable then.
+        now_ns: time at which the watch begins: all count as usable then.
     """
 
     def __init__(self, config: ServosConfig, device: str, now_ns: int) -> None:
@@ -44,9 +44,9 @@ class AnswerTimeouts:
         """Take the outcome of a read.
 
         Args:
-            status: per servo.
+            status: status of each servo.
             alert: Hardware Error Status per servo.
-            now_ns: when it had arrived.
+            now_ns: time at which it had arrived.
 
         Raises:
             DeviceTimeoutError: a servo has not answered usably for `fail_after_s`.

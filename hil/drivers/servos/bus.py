@@ -26,9 +26,9 @@ class Exchange(NamedTuple):
     """Bytes of one group read, and its times.
 
     Attributes:
-        sent_ns: when the request was handed to the port.
-        received_ns: when the answer was complete, or timed out.
-        taken_ns: when the servos sampled the values.
+        sent_ns: time at which the request was handed to the port.
+        received_ns: time at which the answer was complete, or timed out.
+        taken_ns: time at which the servos sampled the values.
     """
 
     data: bytes
@@ -133,7 +133,7 @@ class Bus:
 
         Args:
             group: the group read.
-            timeout_s: how long the answer may take.
+            timeout_s: longest time of the answer.
             after: a packet without an answer, sent before the request in the same transfer.
         """
         self._settle()

@@ -55,12 +55,12 @@ def findings(
     """Findings on the servos' settings on an open bus.
 
     Args:
-        config: what the bench expects.
-        registers: of the servos' model.
+        config: settings that the bench expects.
+        registers: register map of the servos' model.
         blocks: their registers as read at open.
         device: name in the findings.
-        fast: whether fast sync reads are used.
-        mapped: whether goals go through indirect data.
+        fast: True if fast sync reads are used.
+        mapped: True if goals go through indirect data.
     """
     model, read = registers.model, registers.from_block
     delays = [read(b, "return_delay_time") * RETURN_DELAY_STEP_S for b in blocks]

@@ -38,7 +38,7 @@ class FoundServo:
     """A servo that answered a scan.
 
     Attributes:
-        servo_id, baud: where it answers.
+        servo_id, baud: ID and baud rate at which it answers.
         model, firmware: model number and firmware that it reports.
         operating_mode: -1 where it could not be read: no answer, or a model without a control table.
         return_delay_s: 0 where it could not be read.

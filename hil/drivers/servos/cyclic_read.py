@@ -38,11 +38,11 @@ class Reading(NamedTuple):
 
     Attributes:
         registers: raw counts (8,) of `CYCLE_FIELDS` or `FULL_FIELDS` by name; 0 where `status` is not OK.
-        status: per servo, before hardware errors are considered; `RESET` where a full read has found
-            the map of indirect addresses gone.
-        alert: whether the alert bit was set, per servo.
-        taken_ns, received_ns: when the servos sampled it, and when it had arrived.
-        full: whether it was a full read.
+        status: status of each servo, before hardware errors are considered; `RESET` where a full read has
+            found the map of indirect addresses gone.
+        alert: alert bit of each servo.
+        taken_ns, received_ns: times at which the servos sampled it, and at which it had arrived.
+        full: True for a full read.
         revived: joints that answer again after having been left out.
     """
 
@@ -75,7 +75,7 @@ class CycleReader:
     Args:
         bus: open bus.
         config: IDs and budgets.
-        registers: of the servos' model.
+        registers: register map of the servos' model.
         clock: the bench clock.
         fast: use fast sync reads.
         mapped: full reads go through the map of indirect addresses.

@@ -17,7 +17,7 @@ from hil.drivers.servos.register_map import RegisterMap, from_block
 _PAUSE_NS = 100_000_000
 _PATIENCE_NS = 1_500_000_000
 _LEFTOVERS_NS = 300_000_000
-"""By then the answers to another program's requests have arrived."""
+"""Time after which the answers to another program's requests have arrived."""
 _NO_SERVO_LINE = (
     "most answers are garbled: another device at this port, a wrong servos.baud, or noise; "
     "check servos.port, ask `hil discover --port PORT` what is there, then look at cable and ground"

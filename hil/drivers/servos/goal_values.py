@@ -28,7 +28,7 @@ class Goals:
 
     Args:
         config: limits and mode of the bench.
-        registers: of the servos' model.
+        registers: register map of the servos' model.
         blocks: their registers as read at open; the wheels' goals begin at rest, the steering's at its
             present position.
         write: the packet that carries goals.

@@ -29,7 +29,7 @@ class KeepAlive:
         clock: the bench clock.
         lock: held while the servos are talked to, not re-entrant; this never waits for it.
         visit: polls once, called with the lock held; returns whether all is well.
-        watchdog_s: of the servos; 0 without one.
+        watchdog_s: time of the servos' watchdog; 0 without one.
     """
 
     def __init__(

@@ -33,9 +33,9 @@ class LatencyProbe:
 
     Args:
         bus: open bus.
-        ids: of the servos.
+        ids: IDs of the servos.
         clock: the bench clock.
-        watchdog_s: of the servos: no answer is awaited until it trips; 0 without one.
+        watchdog_s: time of the servos' watchdog: no answer is awaited until it trips; 0 without one.
 
     Attributes:
         late_s: answer time of each late servo, s, by joint.
@@ -61,7 +61,7 @@ class LatencyProbe:
         """Read the eight servos, each alone; returns the joints of those found late.
 
         Args:
-            request: gives for a joint its group read, and the longest time of an answer in time, s.
+            request: function from a joint to its group read, and the longest time of an answer in time, s.
         """
         began_ns = self._clock.now_ns()
         while self._bus.gather(_QUIET_S, _MOST_BYTES) and self._clock.now_ns() - began_ns < _SETTLES_NS:
@@ -102,8 +102,8 @@ class LatencyProbe:
         Args:
             joint: index.
             group: the read of this servo.
-            in_time_s: how long an answer in time may take.
-            patient: whether there is time to wait for a late one.
+            in_time_s: longest time of an answer in time.
+            patient: True if there is time to wait for a late one.
         """
         wait_s = _SPARE * self.late_s.get(joint, 0.0) if patient else 0.0
         exchange = self._bus.exchange(group, max(wait_s, in_time_s))

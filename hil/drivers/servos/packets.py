@@ -98,10 +98,10 @@ class GroupRead:
     """One sync read of the same registers of several servos, plain or fast.
 
     Args:
-        ids: of the servos, in the order of the request.
-        address: of the first register.
+        ids: IDs of the servos, in the order of the request.
+        address: address of the first register.
         length: bytes.
-        fast: whether they answer in one packet.
+        fast: True if they answer in one packet.
         fields: the registers, for `quick`.
 
     Attributes:
@@ -207,7 +207,7 @@ class GoalWrite:
     sync write of 54 bytes serves both; without the map a bulk write of 82 bytes does.
 
     Args:
-        ids: of the eight servos.
+        ids: IDs of the eight servos.
         addresses: one for all of them makes a sync write, one for each a bulk write.
     """
 

@@ -42,14 +42,14 @@ class RamRecovery:
     Args:
         bus: open bus.
         config: IDs, registers and watchdog of the bench.
-        registers: of the servos' model.
+        registers: register map of the servos' model.
         device: name in errors and logs.
         fast: use fast sync reads.
 
     Attributes:
-        mapped: whether all servos have the goal map, so that goals go through indirect data.
-        torque: whether torque should be on.
-        released: whether it was on and has been switched off.
+        mapped: True if all servos have the goal map, so that goals go through indirect data.
+        torque: True if torque should be on.
+        released: True if it was on and has been switched off.
         hardware_error: (8,) Hardware Error Status as last read.
     """
 
@@ -192,7 +192,7 @@ class RamRecovery:
         """Repair what an audit found; returns the joints that had lost torque or were stopped.
 
         Args:
-            state: of `audit` or `judge`.
+            state: (torque, watchdog) by joint, from `audit` or `judge`.
             goals: (8,) raw goals at which the robot is held.
             paused: there was no request for longer than the watchdog's time: it was expected to trip.
         """

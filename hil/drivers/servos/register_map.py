@@ -37,7 +37,7 @@ class Fields:
         length: bytes of the range; up to the end of the last register when 0.
 
     Attributes:
-        names: in the order of the range.
+        names: names of the registers, in the order of the range.
         length: bytes of the range.
         form: `struct` format of the range.
     """
@@ -72,11 +72,12 @@ class RegisterMap:
     Attributes:
         model: the model with this table.
         torque, hardware_error, watchdog, goal_velocity: addresses of these registers.
-        goal_addresses: of the goal of each joint: the drives' velocity, the steers' position.
+        goal_addresses: address of each joint's goal: the drives' velocity, the steers' position.
         cycle_address, cycle_length: current, velocity and position, one range.
         indirect_address: address of Indirect Address 1; the data they point at begin at `goal_data`.
-        audit_data, direct_audit, direct_audit_length: of an audit, through the indirect data and without.
-        direct_full_fields: of a full read without the indirect data, from `torque` on.
+        audit_data, direct_audit, direct_audit_length: addresses and length of an audit, through the indirect
+            data and without.
+        direct_full_fields: fields of a full read without the indirect data, from `torque` on.
     """
 
     def __init__(self, model: ServoModel) -> None:

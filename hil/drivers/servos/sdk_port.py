@@ -36,7 +36,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         url: any pyserial URL or device path.
         baud: bits per second.
         clock: the bench clock.
-        latency_s: of the USB adapter.
+        latency_s: latency timer of the USB adapter.
         slack_s: silence beyond the computed time before a reply counts as lost.
 
     Attributes:

@@ -47,7 +47,7 @@ class MultiTurnCounter:
     """Adds the turns that the registers of eight servos have lost.
 
     Args:
-        model: of the servos: how they count, and how fast they turn at most.
+        model: model of the servos: gives counts per turn and highest speed.
 
     Attributes:
         offset: (8,) counts to add to a register.
@@ -130,15 +130,15 @@ class Samples:
     """Converts readings to samples; keeps turns, alerts and the sequence number between them.
 
     Args:
-        registers: of the servos' model.
+        registers: register map of the servos' model.
         blocks: their registers as read at open.
         upkeep: reads and stores hardware errors.
-        clock: for the time at which a sample had arrived.
+        clock: clock for the time at which a sample had arrived.
         device: name in logs.
 
     Attributes:
         turns: positions across restarts.
-        doubtful: whether a full read should follow the latest sample: a servo has restarted, or is back.
+        doubtful: True if a full read should follow the latest sample: a servo has restarted, or is back.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class Samples:
         """The sample of a reading.
 
         Args:
-            reading: of the bus.
+            reading: reading of the bus.
             restarted: joints that were found to have restarted, and have been set up again.
         """
         self._sequence += 1

@@ -146,7 +146,7 @@ class FeedPipeline:
     """Same use as `pyrealsense2.pipeline`: `start` with a callback, `stop`.
 
     Args:
-        host, port: where the emulated camera listens.
+        host, port: address and UDP port of the emulated camera.
 
     Attributes:
         strange: datagrams from elsewhere or of another layout.

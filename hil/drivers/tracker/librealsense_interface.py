@@ -128,7 +128,7 @@ def find_camera(
         library: the module pyrealsense2, or what stands in for it.
         device: name in errors.
         clock: the bench clock.
-        timeout_s: how long to look; once in any case.
+        timeout_s: longest search; the library is asked once in any case.
         serial: serial number that the camera must have; any when None.
 
     Raises:

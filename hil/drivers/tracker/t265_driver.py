@@ -61,7 +61,7 @@ class T265Tracker(Sensor[TrackerSample]):
     """One T265.
 
     Args:
-        config: which camera, and how its poses are judged.
+        config: serial number of the camera, and limits for its poses.
         clock: the bench clock; the library's thread reads it too.
         pipeline: an object with the shape of `pyrealsense2.pipeline`; by default the configured
             feed of an emulated camera, else the library's own pipeline.
@@ -112,7 +112,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._silence_timer.begin(self._clock.now_ns())
 
     def reopen(self) -> None:
-        """As `open`, after an outage: sample numbers go on, and the first usable pose has status RESET."""
+        """Open again after an outage: sample numbers go on, and the first usable pose has status RESET."""
         self._resumed_at = max(self._resumed_at, self._seq_base + self._number + 1)
         self.open()
         self._seq_base = self._resumed_at - int(self._queue[0][1])

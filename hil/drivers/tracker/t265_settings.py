@@ -57,11 +57,11 @@ def apply_settings(
     """Set the map options of the camera and, if configured, its wheel odometry.
 
     Args:
-        device: of the resolved profile; nothing streams yet.
+        device: device of the resolved profile; nothing streams yet.
         library: the module with the names of the options.
         config: the wanted options.
-        name: of the device in errors.
-        beside: whether velocities are sent by a thread, so that the loop does not wait for USB.
+        name: name of the device in errors.
+        beside: True if a thread sends velocities, so that the loop does not wait for USB.
 
     Returns:
         The sender of wheel velocities; None without wheel odometry.
@@ -105,7 +105,7 @@ class WheelVelocities:
     Args:
         sensor: the camera's wheel odometer.
         library: the module with the type of its vectors.
-        beside: whether a thread sends them.
+        beside: True if a thread sends them.
 
     Attributes:
         refused: velocities that the camera did not take.

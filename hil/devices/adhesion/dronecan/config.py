@@ -18,7 +18,7 @@ class DroneCanConfig(MotorConfig):
 
     Attributes:
         command: `duty` (`RawCommand`) or `rpm` (`RPMCommand`).
-        node_id: of the controller.
+        node_id: node id of the controller.
         esc_index: its place in the commands; `UAVCAN ESC Index` in VESC Tool.
         own_id: node id of the daemon; no other node may have it.
     """
@@ -34,7 +34,7 @@ class DroneCanConfig(MotorConfig):
         return (Claim("node_id", _NODE, self.node_id), Claim("own_id", _NODE, self.own_id))
 
     def daemon_spec(self) -> dict[str, Any]:
-        """As for any motor controller, but without a highest current: there is no current set-point."""
+        """The specification for any motor controller, less its highest current: no current is commanded."""
         common = super().daemon_spec()
         highest = {name: value for name, value in common["highest"].items() if name != "current_a"}
         details = {"esc_index": self.esc_index, "node_id": self.own_id, "rpm_per_v": self.rpm_per_v}

@@ -32,7 +32,7 @@ _NAME = "org.vesc.emulated"
 
 @dataclass(frozen=True)
 class DroneCanTruthOptions(FanTruthOptions):
-    """As for a VESC; `rate_1_hz` is the rate of `esc.Status`, `rate_2_hz` the rate of `NodeStatus`."""
+    """Imperfections as for a VESC; `rate_1_hz` is that of `esc.Status`, `rate_2_hz` that of `NodeStatus`."""
 
     rate_1_hz: float = 50.0
     rate_2_hz: float = 1.0

@@ -156,7 +156,7 @@ class Dialogue:
 
     Attributes:
         result: the script's result; None until it has ended.
-        answered: whether the sensor has answered anything.
+        answered: True once the sensor has answered anything.
     """
 
     def __init__(self, script: Callable[[], Script], send: Callable[[bytes], None], patience_ns: int) -> None:

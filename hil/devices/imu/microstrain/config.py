@@ -20,12 +20,12 @@ class MicrostrainConfig(ImuConfig):
 
     Attributes:
         port: any pyserial URL or device path.
-        baud: of the link, as the sensor is set: 115200 when delivered, up to 921600. The sensor's own USB
-            port takes any; write 921600 there.
+        baud: baud rate of the link, as the sensor is set: 115200 when delivered, up to 921600. The sensor's
+            own USB port takes any; write 921600 there.
         rate_hz: samples per second, nearly: the sensor divides its own rate (1000 Hz) by a whole number. The
             default gives 111 Hz, which does not keep step with a 100 Hz loop: some samples are always read
             fresh, and show how old the others are. At 100 Hz stamps may be late by up to a cycle.
-        magnetometer: whether it may correct the heading; not beside steel walls and motors.
+        magnetometer: true if it may correct the heading; not beside steel walls and motors.
         mount_position_m, mount_rotation_wxyz: sensor in the body, m; z comes out of the sensor's bottom, so
             that one that lies flat with its label up is turned by half a turn about x.
         latency_s: smallest time from measurement to arrival, which no host clock can see; when not given,

@@ -106,7 +106,7 @@ class MicrostrainImu(Sensor[ImuSample]):
             raise
 
     def reopen(self) -> None:
-        """As `open`, after an outage: sample numbers go on, and the first sample has status RESET."""
+        """Open again after an outage: sample numbers go on, and the first sample has status RESET."""
         self.open()
         self._restarted = True
 

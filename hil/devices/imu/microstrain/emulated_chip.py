@@ -80,7 +80,7 @@ class MicrostrainChip(SerialChip):
         name: device name, also of its faults.
         options: true imperfections.
         mount_rotation_wxyz: sensor axes in the body that the bench assumes.
-        baud: that the sensor is set to.
+        baud: baud rate that the sensor is set to.
         model: first digits of its model number.
         saved: settings that it has after power-up.
     """

@@ -27,7 +27,7 @@ class Settings:
         formats: (descriptor, decimation) pairs by descriptor set.
         streams: descriptor sets that are sent.
         transform_rad: roll, pitch, yaw of the transformation to the vehicle's axes, (3,).
-        magnetometer: whether it corrects the heading.
+        magnetometer: True if it corrects the heading.
     """
 
     formats: dict[int, tuple[tuple[int, int], ...]] = field(default_factory=dict)
@@ -41,13 +41,13 @@ class Commands:
 
     Args:
         info: identity of the sensor.
-        base_rate_hz: of its filter.
+        base_rate_hz: rate of its filter.
         saved: settings that it has after power-up.
 
     Attributes:
-        settings, saved: in use, and kept without power.
-        idle: whether a command has stopped its stream.
-        filter_resets, soft_resets: how often each was commanded.
+        settings, saved: settings in use, and those kept without power.
+        idle: True if a command has stopped its stream.
+        filter_resets, soft_resets: number of commands for each.
     """
 
     def __init__(self, info: f.DeviceInfo, base_rate_hz: int, saved: Settings) -> None:

@@ -37,11 +37,11 @@ class MicrostrainTruthOptions:
         leakage_s: time constant with which accelerations reach the filter's vertical.
         filter_gravity_m_s2: length of gravity that the filter assumes.
         clock_ppm: error of the sensor's own clock.
-        base_rate_hz: of its filter.
-        processing_s: from measurement to the first byte on the wire.
-        answer_s: from a command to the first byte of its answer.
-        boot_s: from power to the first answer.
-        initialisation_s: from there, or from a filter reset, to the first solution.
+        base_rate_hz: rate of its filter.
+        processing_s: time from measurement to the first byte on the wire.
+        answer_s: time from a command to the first byte of its answer.
+        boot_s: time from power to the first answer.
+        initialisation_s: time from there, or from a filter reset, to the first solution.
         mount_rotation_wxyz: sensor axes in the body as they truly are; as the bench configures them
             when None.
     """
@@ -104,7 +104,7 @@ class Sensing:
 
         Args:
             truth: true state of the plant.
-            relative: whether the heading is relative to that at the start of the filter, and drifts, as no
+            relative: True if the heading is relative to that at the start of the filter, and drifts, as no
                 magnetometer corrects it.
         """
         theta, tilt = float(truth.pose_body_in_wall[2]), truth.tilt_rad

@@ -87,7 +87,7 @@ class DeviceInfo:
 
     @staticmethod
     def from_bytes(data: bytes) -> DeviceInfo:
-        """From the reply's data; raises `ValueError` for another length."""
+        """Decode the reply's data; raises `ValueError` for another length."""
         if len(data) != _INFO.size:
             raise ValueError(f"device info has {len(data)} bytes, not {_INFO.size}")
         firmware, *texts = _INFO.unpack(data)
@@ -116,11 +116,11 @@ class FilterData:
 
     Attributes:
         device_ns: the sensor's clock at the measurement, ns since it was switched on.
-        state, flags: of the filter.
+        state, flags: state and status flags of the filter.
         quaternion_wxyz: (4,), sensor in north, east, down.
         rate_rad_s, linear_m_s2: (3,), sensor frame; acceleration without gravity.
         gravity_m_s2: (3,), sensor frame, points down.
-        valid: whether the sensor marks each of these values as valid.
+        valid: True if the sensor marks each of these values as valid.
         raw: the bytes of all measured fields.
     """
 
@@ -136,7 +136,7 @@ class FilterData:
 
     @staticmethod
     def of(packet: Packet) -> FilterData | None:
-        """From a packet; None when a field is missing or has another length than it should."""
+        """Decode a packet; None when a field is missing or has another length than it should."""
         found = {f.descriptor: f.data for f in packet.fields}
         if any(len(found.get(key, b"")) != layout.size for key, layout in LAYOUTS.items()):
             return None

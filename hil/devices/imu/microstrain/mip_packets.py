@@ -75,8 +75,8 @@ class PacketParser:
     """Splits a byte stream into packets; never raises, keeps at most one unfinished packet.
 
     Args:
-        patience_ns: how long the rest of a packet may take. A spoilt length byte would otherwise hold
-            back the packets that follow until 255 bytes have come.
+        patience_ns: longest time for the rest of a packet. A spoilt length byte would otherwise hold back the
+            packets that follow until 255 bytes have come.
 
     Attributes:
         rejected: stretches of bytes that were spoilt on the way: what begins as a packet and is none. What

@@ -22,12 +22,12 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
     """Propellers on one to four VESCs of one CAN bus, all at the same speed.
 
     Attributes:
-        controller_ids: as set in VESC Tool (App Settings, General).
+        controller_ids: numbers of the controllers, as set in VESC Tool (App Settings, General).
         own_id: under which this program asks; no controller may have it.
-        pole_pairs: of the motors; electrical over mechanical speed.
+        pole_pairs: pole pairs of the motors: electrical over mechanical speed.
         full_rpm: speed of the propellers at which all together give `full_force_n`; the force goes with the
             square of the speed.
-        rpm_per_v: of the motors: speed per volt, unloaded.
+        rpm_per_v: speed of the motors per volt, unloaded.
     """
 
     model: Literal["vesc"] = "vesc"
@@ -63,7 +63,7 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
 
     @property
     def push_keys(self) -> tuple[str, ...]:
-        """As for any propellers, with the keys that scale their speed."""
+        """The keys of any propellers, with those that scale their speed."""
         return self.ratings().keys
 
     def motors(self) -> tuple[VescConfig, ...]:
@@ -92,7 +92,7 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
         return (*theirs, Claim("own_id", VESC_ID, self.own_id))
 
     def daemon_spec(self) -> dict[str, Any]:
-        """As for any motor; every controller gets the same command."""
+        """The specification for any motor; every controller gets the same command."""
         first, *others = self.controller_ids
         return {
             **super().daemon_spec(),

@@ -23,7 +23,7 @@ PROPELLER_FAULTS: Supported = {kind: opts for kind, opts in FAN_FAULTS.items() i
 
 @dataclass(frozen=True)
 class VescThrustTruthOptions(MotorTruthOptions):
-    """As for the fan's VESC; ratings that are left out are those of `[thrust]`.
+    """Imperfections as of the fan's VESC; ratings that are left out are those of `[thrust]`.
 
     Attributes:
         rated_input_a: battery current of each controller at full speed.

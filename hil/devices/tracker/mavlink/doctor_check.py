@@ -31,7 +31,7 @@ def diagnose(
 
     Args:
         session: the session with the sender.
-        config: of the tracker.
+        config: configuration of the tracker.
         device: name in the findings.
         samples: read during `watched_s`.
         watched_s: duration of the watch; no finding on the rate when 0.

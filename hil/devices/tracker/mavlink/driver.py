@@ -98,7 +98,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._stuck.reset(now_ns)
 
     def reopen(self) -> None:
-        """As `open`, after an outage: sample numbers go on, perhaps in another frame."""
+        """Open again after an outage: sample numbers go on, perhaps in another frame."""
         self.open()
         self._jumps.distrust()
         self._reset = True

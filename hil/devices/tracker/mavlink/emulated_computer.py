@@ -35,9 +35,9 @@ class ComputerTruthOptions(TrackerTruthOptions):
         network_s: time that a datagram takes, one way.
         settle_s: time with quality -1 (failed), then 10, then 35, before it is 90.
         system_id, component_id: MAVLink ids; component 197 is visual-inertial odometry.
-        frame: of the poses.
-        twist_in_body: whether the twist is given in BODY_FRD, not in the frame of the pose.
-        sends_covariance, sends_quality, sends_heartbeat, answers_timesync: whether it does.
+        frame: frame of the poses, without MAV_FRAME_.
+        twist_in_body: True if the twist is given in BODY_FRD, not in the frame of the pose.
+        sends_covariance, sends_quality, sends_heartbeat, answers_timesync: True if it does so.
     """
 
     rate_hz: float = 100.0
@@ -86,7 +86,7 @@ class VisualInertialComputer(Scheduled):
             where it truly is.
 
     Attributes:
-        options: as given.
+        options: true imperfections, as given.
         faults: its active faults.
 
     Raises:

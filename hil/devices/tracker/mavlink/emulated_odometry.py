@@ -29,12 +29,12 @@ class Estimate:
     """One estimate, in the frame in which it is sent.
 
     Attributes:
-        time_us: of the exposure, on the computer's clock.
+        time_us: time of the exposure, on the computer's clock.
         frame_id, child_frame_id: numbers of MAV_FRAME.
         position_m, quaternion_wxyz: pose of the camera's body in the first of them.
-        velocity_m_s, rates_rad_s: in the second.
+        velocity_m_s, rates_rad_s: twist in the second.
         pose_covariance, velocity_covariance: 21 numbers, upper triangles by rows.
-        resets: how often the estimate was reset, modulo 256.
+        resets: number of resets of the estimate, modulo 256.
         quality: percent; -1 failed, 0 unknown.
     """
 
@@ -82,14 +82,14 @@ def estimate_of(
     """A pose of visual odometry as it is sent.
 
     Args:
-        pose: in the axes of the T265, which the emulated visual odometry uses.
+        pose: pose in the axes of the T265, which the emulated visual odometry uses.
         time_us: computer's clock.
-        frame: of the pose, without MAV_FRAME_.
+        frame: frame of the pose, without MAV_FRAME_.
         twist_in_body: BODY_FRD for the twist, not the pose's frame.
         pose_sigma: standard deviation of position (m) and attitude (rad); None for unknown.
-        twist_sigma: of velocity (m/s) and rates (rad/s); None for unknown.
-        resets: as sent.
-        quality: as sent.
+        twist_sigma: standard deviation of velocity (m/s) and rates (rad/s); None for unknown.
+        resets: number of resets, as sent.
+        quality: quality in percent, as sent.
     """
     *vector_part, scalar_part = pose.rotation_xyzw
     turned = scalar_part, *_in_robot_axes(vector_part)

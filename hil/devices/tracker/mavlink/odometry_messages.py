@@ -63,10 +63,10 @@ class Axes(NamedTuple):
     """How the numbers of an odometry message become robot axes.
 
     Attributes:
-        turn_world: whether the pose's frame has z down and is turned about its x.
-        turn_body: whether the quaternion turns a body with z down.
-        turn_twist: whether the twist's frame has z down.
-        twist_in_body: whether that frame moves with the body.
+        turn_world: True if the pose's frame has z down and is turned about its x.
+        turn_body: True if the quaternion turns a body with z down.
+        turn_twist: True if the twist's frame has z down.
+        twist_in_body: True if that frame moves with the body.
     """
 
     turn_world: bool
@@ -79,8 +79,8 @@ def axes_of(frame_id: int, child_frame_id: int, body_axes: str | None = None) ->
     """What the two frames of a message mean; None for frames that cannot be used together.
 
     Args:
-        frame_id: of the pose, as sent.
-        child_frame_id: of the twist, as sent.
+        frame_id: number of the pose's frame, as sent.
+        child_frame_id: number of the twist's frame, as sent.
         body_axes: `FRD` or `FLU` where the bench file says what the quaternion turns.
     """
     frame, child = _NAMES.get(frame_id, ""), _NAMES.get(child_frame_id, "")
@@ -181,7 +181,7 @@ class Parser:
 
     Args:
         common: the dialect.
-        datagrams: whether each call gets whole packets: the rest of a damaged one is not joined to the next.
+        datagrams: True if each call gets whole packets: the rest of a damaged one is not joined to the next.
     """
 
     def __init__(self, common: Any, *, datagrams: bool) -> None:

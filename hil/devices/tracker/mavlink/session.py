@@ -51,7 +51,7 @@ class TimeSync:
 
     Attributes:
         trips: answers taken since `reset`.
-        steps: how often the sender's clock has jumped by more than two trips can explain.
+        steps: number of times that the sender's clock has jumped by more than two trips can explain.
     """
 
     def __init__(self) -> None:
@@ -133,7 +133,7 @@ class Session:
         packets: arrivals of any content.
         malformed: pieces that are no MAVLink packet, or whose checksum is wrong; datagrams that are too long.
         strangers: messages from other senders.
-        losses: of the sender's packets, by the address that they come from.
+        losses: lost packets of the sender, by the address that they come from.
         floods: exchanges that stopped reading after too many datagrams of no use; the rest waits.
         other_clock: poses in a row whose stamps are not of the clock that answers TIMESYNC.
     """

@@ -24,10 +24,10 @@ class Link(Protocol):
     """An open link to the sender.
 
     Attributes:
-        datagrams: whether each arrival is a whole datagram.
+        datagrams: True if each arrival is a whole datagram.
         peer: address of the other side before it has sent anything; None where that is not known.
-        trouble: why nothing can arrive any more; empty while all is well.
-        gone: whether the trouble has lasted for so long that the link must be opened again.
+        trouble: reason why nothing can arrive any more; empty while all is well.
+        gone: True if the trouble has lasted for so long that the link must be opened again.
         overflowed: arrivals lost because they were not taken in time.
     """
 
