@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,14 +90,9 @@ def command(
     _check_outputs(out, plots)
     unusable: dict[str, str] = {}
     with reporting() as report:
+        progress = partial(report, "reading")
         recordings = read_recordings(
-            data,
-            lambda done, total: report("reading", done, total),
-            topics=topics,
-            nominal=robot,
-            truth=truth,
-            coupling=coupling,
-            unusable=unusable,
+            data, progress, topics=topics, nominal=robot, truth=truth, coupling=coupling, unusable=unusable
         )
         result = calibrate(
             recordings,
@@ -109,23 +105,21 @@ def command(
             unusable=unusable,
             report=report,
         )
-    for line in result.warnings:
-        click.echo(f"warning: {line}", err=True)
-    failed = "" if result.explains else "the result does not explain the recordings"
-    if result.compared.worse and not failed and not accept_worse:
-        failed = f"{result.compared.in_words()}; --accept-worse writes it all the same"
-    if failed:
-        click.echo(f"warning: {out or 'a calibration file'} is not written: {failed}", err=True)
-    elif out is not None:
-        _write(out, result, config)
-    if plots is not None:
-        from hil.report.calibration_page import write_calibration_page
-
-        click.echo(f"page: {write_calibration_page(plots, result)}", err=True)
+    failed = _failed(result, accept_worse)
+    _write(result, failed, out, plots, config)
     click.echo(json.dumps(result.to_json(), allow_nan=False) if as_json else _text(result))
     if failed:
         return EXIT_LIMIT_FAILED
     return EXIT_USAGE if unusable or any(r.problems for r in recordings) else EXIT_PASS
+
+
+def _failed(result: Calibration, accept_worse: bool) -> str:
+    """Why the result is not to be written; empty where it is."""
+    if not result.explains:
+        return "the result does not explain the recordings"
+    if result.compared.worse and not accept_worse:
+        return f"{result.compared.in_words()}; --accept-worse writes it all the same"
+    return ""
 
 
 def _check_outputs(out: Path | None, plots: Path | None) -> None:
@@ -140,7 +134,23 @@ def _check_outputs(out: Path | None, plots: Path | None) -> None:
         check_folder(plots)
 
 
-def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
+def _write(
+    result: Calibration, failed: str, out: Path | None, plots: Path | None, config: BenchConfig | None
+) -> None:
+    """Print the warnings; write the calibration, unless it failed, and its page."""
+    for line in result.warnings:
+        click.echo(f"warning: {line}", err=True)
+    if failed:
+        click.echo(f"warning: {out or 'a calibration file'} is not written: {failed}", err=True)
+    elif out is not None:
+        _write_file(out, result, config)
+    if plots is not None:
+        from hil.report.calibration_page import write_calibration_page
+
+        click.echo(f"page: {write_calibration_page(plots, result)}", err=True)
+
+
+def _write_file(out: Path, result: Calibration, config: BenchConfig | None) -> None:
     import numpy as np
 
     from hil import __version__

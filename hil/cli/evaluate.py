@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,14 +71,10 @@ def command(
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
-    from hil.calibration.applied_warnings import in_sample, used_otherwise
     from hil.calibration.calibration_file import coupling_of
     from hil.calibration.evaluation import evaluate
-    from hil.calibration.usability_check import failed_validation
-    from hil.calibration.warnings import crossed_gaps, warnings_of
     from hil.core.errors import UsageError
     from hil.datasets.read import read_recordings
-    from hil.datasets.wrong_signs import contradictions, without_motion
     from hil.support.atomic_files import check_folder
 
     if deploy == "twist" and calibration is None:
@@ -96,40 +92,80 @@ def command(
             coupling=coupling or (coupling_of(file) if file else None),
         )
     used_model = "exact" if deploy == "twist" else model or (file.model if file else "exact")
-    used_signal = signal or (file.signal if file else "position")
-    tracks = _tracks(recordings, file, robot, used_model, used_signal, deploy)
-    table = evaluate(tracks)
-    table |= {"model": used_model, "signal": used_signal, "calibration": str(calibration) if file else None}
-    table["geometry"] = robot.to_json()
-    reported: list[str] = []
-    if file is not None:
-        seen = in_sample(file, recordings)
-        table |= {"deploy": deploy, "fitted_with": {"model": file.model, "signal": file.signal}}
-        table["in_sample"] = seen.to_json()
-        reported = [
-            f"calibration {calibration}, fitted with model {file.model}, signal {file.signal}, "
-            f"applied as {deploy}",
-            seen.in_words(),
-        ]
-    failed = "" if file is None else failed_validation(file, str(calibration))
-    warnings = [failed, *warnings_of(recordings)] if failed else warnings_of(recordings)
-    warnings += crossed_gaps(recordings) if used_model == "paper" else []
-    warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
-    geometry = robot.geometry if file is None else file.geometry
-    contradicted = contradictions(recordings, geometry)
-    refused = without_motion(recordings) + contradicted
-    warnings += _doubts(recordings, file, robot, used_signal, deploy, bool(contradicted)) + refused
+    used = _Used(file, robot, used_model, signal or (file.signal if file else "position"), deploy)
+    tracks = _tracks(recordings, used)
+    table = evaluate(tracks) | used.to_json(calibration, recordings)
+    warnings, table["problems"] = _warnings(recordings, used, str(calibration), model)
     table["warnings"] = warnings
-    table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems] + refused
+    reported = used.in_words(calibration, recordings)
     for line in warnings:
         click.echo(f"warning: {line}", err=True)
     if plots is not None:
         from hil.report.calibration_page import write_evaluation_page
 
-        nominal = _tracks(recordings, None, robot, used_model, used_signal, "parameters") if file else None
+        nominal = _tracks(recordings, replace(used, file=None, deploy="parameters")) if file else None
         click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table, reported)}", err=True)
     click.echo(json.dumps(table) if as_json else _text(table, reported))
     return EXIT_USAGE if table["problems"] else EXIT_PASS
+
+
+@dataclass(frozen=True)
+class _Used:
+    """What the odometry is computed with: a calibration or None, nominal robot, model, signal, deployment."""
+
+    file: CalibrationFile | None
+    robot: Nominal
+    model: str
+    signal: str
+    deploy: str
+
+    def to_json(self, calibration: Path | None, recordings: list[Recording]) -> dict[str, Any]:
+        """Its keys of the JSON."""
+        from hil.calibration.applied_warnings import in_sample
+
+        file = self.file
+        keys: dict[str, Any] = {
+            "model": self.model,
+            "signal": self.signal,
+            "calibration": str(calibration) if file else None,
+            "geometry": self.robot.to_json(),
+        }
+        if file is not None:
+            keys |= {"deploy": self.deploy, "fitted_with": {"model": file.model, "signal": file.signal}}
+            keys["in_sample"] = in_sample(file, recordings).to_json()
+        return keys
+
+    def in_words(self, calibration: Path | None, recordings: list[Recording]) -> list[str]:
+        """Lines on the calibration, for the head of the table."""
+        from hil.calibration.applied_warnings import in_sample
+
+        if self.file is None:
+            return []
+        fitted = f"fitted with model {self.file.model}, signal {self.file.signal}"
+        return [
+            f"calibration {calibration}, {fitted}, applied as {self.deploy}",
+            in_sample(self.file, recordings).in_words(),
+        ]
+
+
+def _warnings(
+    recordings: list[Recording], used: _Used, calibration: str, model: str | None
+) -> tuple[list[str], list[str]]:
+    """All warnings, and those of them that make the exit code 2."""
+    from hil.calibration.applied_warnings import used_otherwise
+    from hil.calibration.usability_check import failed_validation
+    from hil.calibration.warnings import crossed_gaps, warnings_of
+    from hil.datasets.wrong_signs import contradictions, without_motion
+
+    file, robot = used.file, used.robot
+    failed = "" if file is None else failed_validation(file, calibration)
+    warnings = [failed, *warnings_of(recordings)] if failed else warnings_of(recordings)
+    warnings += crossed_gaps(recordings) if used.model == "paper" else []
+    warnings += [] if file is None else used_otherwise(file, model, used.signal, used.deploy)
+    contradicted = contradictions(recordings, robot.geometry if file is None else file.geometry)
+    refused = without_motion(recordings) + contradicted
+    warnings += _doubts(recordings, used, bool(contradicted)) + refused
+    return warnings, [f"{r.name}: {what}" for r in recordings for what in r.problems] + refused
 
 
 def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile | None, Nominal]:
@@ -151,30 +187,17 @@ def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile
     return file, replace(robot, geometry=file.nominal_geometry, source=str(calibration))
 
 
-def _tracks(
-    recordings: list[Recording],
-    file: CalibrationFile | None,
-    robot: Nominal,
-    model: str,
-    signal: str,
-    deploy: str,
-) -> list[Track]:
+def _tracks(recordings: list[Recording], used: _Used) -> list[Track]:
     from hil.calibration.evaluation import track_all
 
-    if file is not None and deploy == "twist":
-        return track_all(recordings, file.nominal_geometry, "exact", signal, file.twist)
-    geometry = file.geometry if file is not None else robot.geometry
-    return track_all(recordings, geometry, model, signal)
+    file = used.file
+    if file is not None and used.deploy == "twist":
+        return track_all(recordings, file.nominal_geometry, "exact", used.signal, file.twist)
+    geometry = file.geometry if file is not None else used.robot.geometry
+    return track_all(recordings, geometry, used.model, used.signal)
 
 
-def _doubts(
-    recordings: list[Recording],
-    file: CalibrationFile | None,
-    robot: Nominal,
-    signal: str,
-    deploy: str,
-    contradicted: bool,
-) -> list[str]:
+def _doubts(recordings: list[Recording], used: _Used, contradicted: bool) -> list[str]:
     """Reasons to doubt these errors: a geometry that cannot be right, motions that were never fitted."""
     from hil.calibration.cross_validation import deployed
     from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, Driven, mismatch
@@ -182,15 +205,16 @@ def _doubts(
     from hil.calibration.warnings import beyond_driven, worse_as_twist
     from hil.datasets.blocks import reduce_recordings
 
-    blocks = reduce_recordings(recordings, _BLOCK_S, signal)
+    file, robot = used.file, used.robot
+    blocks = reduce_recordings(recordings, _BLOCK_S, used.signal)
     found = "" if any(one.contradictions for one in recordings) else mismatch(blocks, robot)
     out = [f"{found}; {BENCH_FILE if contradicted else OTHER_ROBOT}"] if found else []
     if file is None:
         return out
     if file.driven_m:
         out += beyond_driven(blocks, robot.geometry, Driven.from_json(file.driven_m))
-    if deploy == "twist":
-        setting = make_setting("recommended", model=file.model, signal=signal)
+    if used.deploy == "twist":
+        setting = make_setting("recommended", model=file.model, signal=used.signal)
         out += worse_as_twist(
             deployed(recordings, file.geometry, file.nominal_geometry, file.twist, setting), file.model
         )

@@ -13,49 +13,19 @@ from typing import Any
 import numpy as np
 
 from hil.core.errors import DataError
-from hil.core.geometry import Array, Bools
-from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
+from hil.core.geometry import Array
+from hil.datasets.cleaning import Log, count_gaps, recorded_rates
 from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal
-from hil.datasets.partial_rows import completed
 from hil.datasets.segments import in_words, split
-from hil.datasets.truth_jumps import WheelMotion, find_jumps
-from hil.datasets.unit_check import check_repeats, check_stamp_jumps, check_time, check_units, rolled_m
+from hil.datasets.truth_jumps import WheelMotion
+from hil.datasets.unit_check import check_units, rolled_m
 from hil.datasets.unit_factors import check_rates, check_steering_unit, check_ways
+from hil.datasets.usable_rows import Rows, usable, without_frozen, without_jumps
 from hil.datasets.wheel_turns import check_steering, whole_turns, without_turns
 from hil.datasets.wheel_ways import Drive
 
-FROZEN = "ground-truth rows that repeat an earlier pose while the wheels roll (a frozen source) left out"
-_ROLLED_RAD, _LITTLE_RAD = 0.08, 0.02
-
-
-def fresh_rows(truth_t_s: Array, pose: Array, t_s: Array, angle: Array) -> Bools:
-    """Mask of ground-truth rows (m,) that do not repeat the pose before while the wheels roll.
-
-    Poses equal to the last bit count as repeated where a wheel turns by 0.08 rad (2 mm) meanwhile, starting
-    with the row at which it has turned by a quarter of that. A robot at rest may be measured without noise.
-
-    Args:
-        truth_t_s: (m,) times of the ground truth, s, increasing.
-        pose: (m, 3) poses.
-        t_s: (n,) times of the wheel rows, s.
-        angle: (n, 4) cumulative wheel angles, rad.
-    """
-    changed = np.concatenate([[True], np.any(np.diff(pose, axis=0) != 0.0, axis=1)])
-    first = np.maximum.accumulate(np.where(changed, np.arange(len(pose)), 0))
-    wheels = np.column_stack([np.interp(truth_t_s, t_s, column) for column in angle.T])
-    rolled = np.max(np.abs(wheels - wheels[first]), axis=1)
-    most = np.zeros(len(pose))
-    np.maximum.at(most, first, rolled)
-    return np.asarray((most[first] < _ROLLED_RAD) | (rolled < _LITTLE_RAD), dtype=np.bool_)
-
-
-_MIN_ROWS = 20
-_FROZEN_S = 0.5
-_WHEEL_COLUMNS = ("t", *(f"phi{i}" for i in range(1, 5)), *(f"delta{i}" for i in range(1, 5)))
-_TRUTH_COLUMNS = ("t", "x", "y", "theta")
 _MIN_SHARED = 2
-_SPANS = ((3.15576e7, "years"), (86400.0, "days"), (3600.0, "hours"), (1.0, "s"))
 _ROTATION_RAD = 5.0
 _ROTATION_PATH_M = 0.3
 
@@ -166,130 +136,75 @@ def _build(
     name: str, where: str, wheels: Log, truth: Log, motion: str, robot: Nominal, repairs: dict[str, int]
 ) -> Recording:
     """One recording from logs without steps back; see `build_recording`."""
-    check_time(where, wheels.t_s)
-    for kind, log in (("wheel", wheels), ("ground-truth", truth)):
-        check_repeats(where, kind, log.t_s, log.values)
-    wheels = completed(with_angles(wheels, repairs), 8, "wheel", range(4, 8), repairs)
-    t_s, w, receive_s = clean(wheels, 8, "wheel", repairs)
-    truth = completed(truth, 3, "ground-truth", (2,), repairs)
-    truth_t_s, pose, truth_receive_s = clean(truth, 3, "ground-truth", repairs)
-    if len(t_s) < _MIN_ROWS:
-        raise DataError(
-            where,
-            f"only {len(t_s)} usable wheel rows{emptiest(wheels, _WHEEL_COLUMNS)}",
-            expected=f"at least {_MIN_ROWS}",
-        )
-    if len(truth_t_s) < _MIN_ROWS:
-        raise DataError(
-            where,
-            f"only {len(truth_t_s)} usable ground-truth rows{emptiest(truth, _TRUTH_COLUMNS)}",
-            expected="x, y and theta from motion capture",
-            remedy="a run without ground truth can be replayed but not evaluated or calibrated",
-        )
-    begin_s, end_s = max(t_s[0], truth_t_s[0]), min(t_s[-1], truth_t_s[-1])
-    if end_s - begin_s < 1.0:
-        raise _apart(where, float(truth_t_s[0] - t_s[0]), float(end_s - begin_s))
-    for stamps in (t_s, truth_t_s):
-        check_stamp_jumps(where, stamps)
-    counted = w[:, 4:8]
-    fresh, w = without_held(t_s, w, repairs)
-    t_s, w, receive_s = t_s[fresh], w[fresh], receive_s[fresh]
-    rate = recorded_rates(w, repairs)
-    turns = whole_turns(where, t_s, w[:, :4], rate)
-    angle = turns.angle
+    rows, poses = usable(where, wheels, truth, repairs)
+    begin_s, end_s = max(rows.t_s[0], poses.t_s[0]), min(rows.t_s[-1], poses.t_s[-1])
+    counted = rows.values[:, 4:8]
+    fresh, values = without_held(rows.t_s, rows.values, repairs)
+    rows = Rows(rows.t_s, values, rows.receive_s).only(fresh)
+    rate = recorded_rates(rows.values, repairs)
+    turns = whole_turns(where, rows.t_s, rows.values[:, :4], rate)
     repairs.update(turns.repairs)
-    fresh = fresh_rows(truth_t_s, pose, t_s, angle)
-    truth_t_s, pose, truth_receive_s = truth_t_s[fresh], pose[fresh], truth_receive_s[fresh]
-    frozen_s = end_s - truth_t_s[-1]
-    count(repairs, FROZEN, np.count_nonzero(~fresh))
-    if len(truth_t_s) < _MIN_ROWS or frozen_s > _FROZEN_S:
-        raise DataError(
-            where,
-            f"the ground truth repeats its last pose for {frozen_s:.1f} s while the wheels roll",
-            expected="a source that goes on to the end",
-            remedy="look at what the capture system sent",
-        )
-    raw, steering = w[:, 4:8], without_turns(w[:, 4:8])
-    by_wheels = WheelMotion.of(t_s, angle, steering, robot)
-    keep, lasting = _without_jumps(where, truth_t_s, pose, by_wheels, repairs)
-    truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
-    count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
-    count_gaps(repairs, truth_t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
-    heading = pose[:, 2]
-    pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
-    shared, truth_shared = ((t >= begin_s) & (t <= end_s) for t in (t_s, truth_t_s))
-    if min(np.count_nonzero(shared), np.count_nonzero(truth_shared)) < _MIN_SHARED:
-        raise DataError(
-            where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
-        )
-    as_read = np.column_stack([pose[:, :2], heading])
-    check_ways(where, Drive(t_s, w[:, :4], steering, truth_t_s, as_read), robot)
-    if turns.refusal is not None:
-        raise turns.refusal
-    check_units(
-        where,
-        angle[shared],
-        counted,
-        truth_t_s[truth_shared],
-        pose[truth_shared],
-        heading[truth_shared],
-        robot,
-    )
-    check_steering_unit(where, Drive(t_s, angle, steering, truth_t_s, pose), raw, robot)
-    check_steering(where, t_s, steering, angle)
-    check_rates(where, t_s, angle, rate)
+    poses = without_frozen(where, poses, rows.t_s, turns.angle, end_s, repairs)
+    raw, steering = rows.values[:, 4:8], without_turns(rows.values[:, 4:8])
+    by_wheels = WheelMotion.of(rows.t_s, turns.angle, steering, robot)
+    poses, lasting = without_jumps(where, poses, by_wheels, repairs)
+    count_gaps(repairs, rows.t_s, "wheel gaps over {:g} s bridged")
+    count_gaps(repairs, poses.t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
+    as_read = Drive(rows.t_s, rows.values[:, :4], steering, poses.t_s, poses.values)
+    pose = np.column_stack([poses.values[:, :2], np.unwrap(poses.values[:, 2])])
+    unwrapped = replace(as_read, angle=turns.angle, pose=pose)
+    _check(where, as_read, unwrapped, (begin_s, end_s), (counted, raw, rate), turns.refusal, robot)
     return Recording(
         name=name,
-        motion=motion or classify(angle, pose, robot.radius_m),
-        t_s=t_s,
-        wheel_angle_rad=angle,
+        motion=motion or classify(turns.angle, pose, robot.radius_m),
+        t_s=rows.t_s,
+        wheel_angle_rad=turns.angle,
         steering_rad=steering,
         wheel_rate_rad_s=rate,
-        truth_t_s=truth_t_s,
+        truth_t_s=poses.t_s,
         truth_pose=pose,
-        receive_s=receive_s,
-        truth_receive_s=truth_receive_s,
+        receive_s=rows.receive_s,
+        truth_receive_s=poses.receive_s,
         repairs=repairs,
         contradictions=lasting,
         nominal=robot,
     )
 
 
-def _apart(where: str, later_s: float, shared_s: float) -> DataError:
-    """Error of logs that share less than a second, with the time between their first rows."""
-    size, unit = next((size, unit) for size, unit in _SPANS if abs(later_s) >= size or size == 1.0)
-    word = "after" if later_s > 0 else "before"
-    return DataError(
-        where,
-        f"wheels and ground truth share {max(shared_s, 0.0):.2f} s: the ground truth begins "
-        f"{abs(later_s):.3f} s ({abs(later_s) / size:.3g} {unit}) {word} the wheels",
-        expected="stamps of one clock, >= 1 s of both",
-        remedy=f"if both began together, subtract {later_s:.3f} s from the stamps of the ground truth; else "
-        "stamp both by the computer that records them",
-    )
+def _check(
+    where: str,
+    as_read: Drive,
+    drive: Drive,
+    between_s: tuple[float, float],
+    measured: tuple[Array, Array, Array],
+    refusal: DataError | None,
+    robot: Nominal,
+) -> None:
+    """Raise `DataError` for units and angles that cannot be right.
 
-
-def _without_jumps(
-    where: str, t_s: Array, pose: Array, wheels: WheelMotion, repairs: dict[str, int]
-) -> tuple[Bools, tuple[str, ...]]:
-    """Mask of ground-truth rows (m,) to keep, and the first jump that lasts, in words.
-
-    Raises:
-        DataError: the mask is of less than half of the rows.
+    Args:
+        where: the file, for messages.
+        as_read: rows with wheel angles and headings as in the file.
+        drive: the same rows with whole turns undone.
+        between_s: begin and end of the time that wheels and ground truth share.
+        measured: steering angles of all rows and of those used, both as in the file, and wheel rates.
+        refusal: what is wrong with the wheel angles; raised unless a unit explains it.
+        robot: nominal robot.
     """
-    found = find_jumps(t_s, pose, wheels)
-    dropped = np.count_nonzero(~found.keep) - found.resting
-    if 2 * dropped > len(t_s):
+    counted, raw, rate = measured
+    shared, seen = ((t >= between_s[0]) & (t <= between_s[1]) for t in (drive.t_s, drive.truth_t_s))
+    if min(np.count_nonzero(shared), np.count_nonzero(seen)) < _MIN_SHARED:
         raise DataError(
-            where,
-            f"the ground truth (x, y, theta) leaps: {dropped} of {len(t_s)} rows are out of reach",
-            expected="a path that the robot can have driven",
-            remedy="look at what the capture system tracked",
+            where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
         )
-    count(repairs, "ground-truth rows that leap away and back dropped", dropped)
-    count(repairs, "ground-truth rows beyond a leap, in which the robot rests, dropped", found.resting)
-    more = f" (the first of {len(found.lasting)} such steps)" if len(found.lasting) > 1 else ""
-    return found.keep, tuple(jump.in_words() + more for jump in found.lasting[:1])
+    check_ways(where, as_read, robot)
+    if refusal is not None:
+        raise refusal
+    pose, heading = drive.pose[seen], as_read.pose[seen, 2]
+    check_units(where, drive.angle[shared], counted, drive.truth_t_s[seen], pose, heading, robot)
+    check_steering_unit(where, drive, raw, robot)
+    check_steering(where, drive.t_s, drive.steering, drive.angle)
+    check_rates(where, drive.t_s, drive.angle, rate)
 
 
 def classify(angle: Array, pose: Array, radius_m: float) -> str:

@@ -48,42 +48,25 @@ def read_plain(path: Path, nominal: Nominal | None = None, truth: TruthFile | No
     """
     data = read_bytes(path)
     refuse_truth_alone(path, data)
-    header, _, body = data.partition(b"\n")
-    _check_text(path, data, header)
-    first_line = header.decode("utf-8", "replace").lstrip("\ufeff").rstrip("\r")
-    columns = [name.strip() for name in next(csv.reader([first_line]), [])]
-    rates = all(c in columns for c in RATE_COLUMNS)
-    needed = [c for c in _NEEDED if truth is None or c not in TRUTH_COLUMNS]
-    _check_complete(path, header, columns, needed)
-    table = _table(path, data, body, columns)
-    if len(table) == 0:
-        raise DataError(str(path), "has a header but no rows")
+    columns, table = _read_table(path, data, truth is not None)
     lacking = dict[str, int]()
-    if absent := [c for c in WHEEL_COLUMNS if c not in columns]:
-        others = [c for c in columns if c and c not in (*_NEEDED, *RATE_COLUMNS)]
-        beside = f", which also holds columns that are not read: {', '.join(others)}" if others else ""
-        lacking = {f"columns of wheel angles ({', '.join(absent)}) missing in the file{beside}": len(absent)}
-        columns += absent
-        table = np.column_stack([table, np.full((len(table), len(absent)), np.nan)])
-    wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
+    columns, table = _with_wheels(columns, table, lacking)
+    rates = RATE_COLUMNS if all(c in columns for c in RATE_COLUMNS) else ()
+    wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *rates)]
     places = [columns.index(c) for c in TRUTH_COLUMNS] if truth is None else []
     t_s = table[:, columns.index("t")]
     for sensor in (wheels[:4], wheels[4:8], wheels[8:], places):
         hold_unchanged(t_s, table, sensor, lacking)
     seen = np.any(np.isfinite(table[:, places]), axis=1)
     read = np.any(np.isfinite(table[:, wheels]), axis=1) | ~seen
-    stem = path.name.removesuffix(".gz").removesuffix(".csv")
-    log, sources, digests = (
-        Log(t_s[read], table[read][:, wheels]),
-        [str(path)],
-        [hashlib.sha256(data).hexdigest()],
-    )
-    poses = Log(t_s[seen], table[seen][:, places])
+    log, poses = Log(t_s[read], table[read][:, wheels]), Log(t_s[seen], table[seen][:, places])
+    sources, digests = [str(path)], [hashlib.sha256(data).hexdigest()]
     if truth is not None:
         robot = nominal if nominal is not None else Nominal()
         poses, source, digest = read_truth(truth, path, log, robot, lacking)
         sources.append(source)
         digests.append(digest)
+    stem = path.name.removesuffix(".gz").removesuffix(".csv")
     return build_recording(
         stem,
         log,
@@ -94,6 +77,31 @@ def read_plain(path: Path, nominal: Nominal | None = None, truth: TruthFile | No
         nominal=nominal,
         repairs=lacking,
     )
+
+
+def _read_table(path: Path, data: bytes, truth_elsewhere: bool) -> tuple[list[str], Array]:
+    """Names of the columns, complete, and the rows (n, number of columns)."""
+    header, _, body = data.partition(b"\n")
+    _check_text(path, data, header)
+    first_line = header.decode("utf-8", "replace").lstrip("\ufeff").rstrip("\r")
+    columns = [name.strip() for name in next(csv.reader([first_line]), [])]
+    needed = [c for c in _NEEDED if not (truth_elsewhere and c in TRUTH_COLUMNS)]
+    _check_complete(path, header, columns, needed)
+    table = _table(path, data, body, columns)
+    if len(table) == 0:
+        raise DataError(str(path), "has a header but no rows")
+    return columns, table
+
+
+def _with_wheels(columns: list[str], table: Array, lacking: dict[str, int]) -> tuple[list[str], Array]:
+    """Columns and rows with empty wheel angles where the file has none; `lacking` counts them."""
+    absent = [c for c in WHEEL_COLUMNS if c not in columns]
+    if not absent:
+        return columns, table
+    others = [c for c in columns if c and c not in (*_NEEDED, *RATE_COLUMNS)]
+    beside = f", which also holds columns that are not read: {', '.join(others)}" if others else ""
+    lacking[f"columns of wheel angles ({', '.join(absent)}) missing in the file{beside}"] = len(absent)
+    return [*columns, *absent], np.column_stack([table, np.full((len(table), len(absent)), np.nan)])
 
 
 def _check_complete(path: Path, header: bytes, columns: list[str], needed: list[str]) -> None:
