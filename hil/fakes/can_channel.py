@@ -37,7 +37,8 @@ class CanFrame(NamedTuple):
 
     Attributes:
         timestamp: arrival time on the world's clock, s.
-        arbitration_id, data, is_extended_id, is_remote_frame, is_error_frame: as in `can.Message`.
+        arbitration_id, data, is_extended_id, is_remote_frame, is_error_frame: identifier, bytes and flags as
+            in `can.Message`.
     """
 
     timestamp: float
@@ -206,8 +207,8 @@ class WorldBus(can.BusABC):
 
     Args:
         channel: name of the channel.
-        can_filters: as in `can.BusABC`.
-        receive_own_messages: whether this bus also receives the frames that it sends.
+        can_filters: filters of received frames, as in `can.BusABC`.
+        receive_own_messages: True if this bus also receives the frames that it sends.
         kwargs: passed on to `can.BusABC`.
     """
 

@@ -33,7 +33,7 @@ class CanTransport(Transport):
         interface, address: python-can interface and channel that clients open.
         dbc: path of the DBC file for clients.
         device: device name for error messages.
-        listens: whether a device on the emulated bus receives what clients send.
+        listens: True if a device on the emulated bus receives what clients send.
         printed: further values for the endpoint.
         options: further keyword arguments of the interface. Multicast without a `port` gets a free one,
             because python-can's own bus receives every group at its port.

@@ -37,7 +37,7 @@ def take_port(bus: str, bitrate: int, device: str) -> int:
 
     Args:
         bus: name of the bus in the bench file.
-        bitrate: of the device, bit/s; devices with another bit rate are on a separate bus.
+        bitrate: bit rate of the device, bit/s; devices with another bit rate are on a separate bus.
         device: device name for error messages.
 
     Raises:

@@ -148,7 +148,7 @@ class EmulationRequest:
         given: table `[emulation.KIND]`, not yet validated; `options` validates it.
         world: plant, clock, faults and random streams.
         name: name of its line or channel, unique in this process.
-        standard_ports: whether to serve it at the port where real devices of this kind are usually found.
+        standard_ports: True to serve it at the port where real devices of this kind are usually found.
     """
 
     kind: str

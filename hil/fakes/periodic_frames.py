@@ -22,11 +22,11 @@ class WorldSendTask(
 
     Args:
         world: time.
-        bus: that sends the frames.
+        bus: bus that sends the frames.
         messages: one frame, or several with one identifier, sent in turn.
         period: time between two frames, s.
         duration: time after which it ends, s; None for never.
-        autostart: whether it starts at once.
+        autostart: True to start at once.
         modifier_callback: called with each frame before it is sent.
     """
 

@@ -23,7 +23,7 @@ class PtyClients:
     """The programs at one terminal; without inotify one is taken to be there always.
 
     Args:
-        path: of the terminal. This process has it open once.
+        path: path of the terminal, which this process has open once.
         on_left: called when the last program has closed it, also by being killed.
     """
 
@@ -84,7 +84,7 @@ class _Look(threading.Thread):
 
     Attributes:
         found: the answer, once the thread has ended.
-        openings: how often it had been opened when the look began.
+        openings: number of times that it had been opened when the look began.
     """
 
     def __init__(self, path: str, openings: int, before: _Look | None) -> None:

@@ -18,7 +18,7 @@ class Reply(NamedTuple):
     """Bytes sent by a chip: not before `ready_ns` (world time), then paced at the baud rate.
 
     Attributes:
-        goes_on: whether these bytes belong to the same message as the reply before, for faults of the wire.
+        goes_on: True if these bytes belong to the same message as the reply before, for faults of the wire.
     """
 
     ready_ns: int

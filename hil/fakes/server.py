@@ -154,7 +154,7 @@ class EmulationServer:
         """Advance to now, or by the largest piece before data must be handled again.
 
         Returns:
-            Whether the world has reached now.
+            True if the world has reached now.
         """
         now_ns = self._now_ns()
         reached_ns = min(now_ns, self.world.now_ns + _PIECE_NS)

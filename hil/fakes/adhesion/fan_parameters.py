@@ -28,7 +28,7 @@ class MotorTruthOptions:
             virtual time, tethered at the wire, where it is not known when a client comes.
         timeout_s: time without a `SET_*` after which the motor is released; 0 for never.
         rate_1_hz, rate_2_hz: two rates of status messages.
-        messages_1, messages_2: which status messages (1 to 6) go out at each rate; as delivered none: `[]`.
+        messages_1, messages_2: numbers of the status messages (1 to 6) at each rate; as delivered none: `[]`.
         firmware: version that it reports.
         twins: further controllers of the same id on the bus.
         pack_v: voltage of the battery at no load.
@@ -98,7 +98,7 @@ class FanTruthOptions(MotorTruthOptions):
 
 @dataclass(frozen=True)
 class AdhesionTruthOptions(FanTruthOptions):
-    """As for any fan, on a VESC.
+    """Imperfections of a fan on a VESC.
 
     Attributes:
         pole_pairs: true number of the motor; below 0 for a controller that counts backwards.

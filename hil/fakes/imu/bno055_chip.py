@@ -51,7 +51,7 @@ class Bno055Chip(SerialChip, Scheduled):
         bench_remap: (axis map, axis sign) that the bench configures.
         overrun_probability: chance that a read is answered with bus overrun; a fifth of it without the
             magnetometer, whose 20 Hz processing causes it.
-        acknowledge_reset: whether a reset command is acknowledged before the silence (real chips do either).
+        acknowledge_reset: True if a reset command is acknowledged before the silence (real chips do either).
     """
 
     Options = ImuTruthOptions

@@ -33,7 +33,7 @@ class InertialFaults(DeviceFaults):
     """Faults of any inertial sensor: loss of power, resets, heading jumps, wrong rates.
 
     Attributes:
-        dead: whether the sensor had no power at the last call of `boot_at_ns`.
+        dead: True if the sensor had no power at the last call of `boot_at_ns`.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:

@@ -58,7 +58,7 @@ def sense(
     Args:
         motion: motion of the body.
         dt: time since the last sample, s.
-        magnetometer: whether it is on; the field is 0 without it.
+        magnetometer: True if the magnetometer is on; the field is 0 without it.
         draws: standard normal noise (n, 9).
         row: row of `draws` to use.
         offsets: (9,) remaining offsets.

@@ -35,7 +35,7 @@ class Capture(NamedTuple):
         height: height of a body above the surface, m.
         position_noise, angle_noise: standard deviation of each component, m and rad.
         marker_error: mean marker error that is reported, m.
-        y_up: whether y of the stream is out of the ground plane.
+        y_up: True if y of the stream is out of the ground plane.
     """
 
     height: float = 0.0

@@ -18,7 +18,7 @@ class MocapTruthOptions:
         gaps_per_s: losses of one or several frames; 50 to 152 per run of 80 s were recorded.
         single_gap_share: part of the gaps that lose one frame.
         common_gap_s, longest_gap_s: the other gaps last up to this, one in fifty up to the longest.
-        occlusions_per_s, occlusion_s: how often and how long the body is out of sight.
+        occlusions_per_s, occlusion_s: rate and duration of the times in which the body is out of sight.
         latency_s: exposure to sending.
         transit_s: sending to arrival, the smallest.
         jitter_s: mean of the exponential jitter beside it.

@@ -42,7 +42,7 @@ class Client:
         outlet: network of the client.
         version: bit stream version of its frames.
         heard_ns: time of its last request.
-        by_unicast: whether frames go to it by unicast. With a multicast group offered in addition, they do so
+        by_unicast: True if frames go to it by unicast. With a multicast group offered in addition, they do so
             only if it is known that the client does not listen to the group.
     """
 

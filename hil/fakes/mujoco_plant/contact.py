@@ -18,7 +18,7 @@ import numpy as np
 
 TIME_CONSTANT_S = 0.02
 IMPEDANCE = 0.98
-"""Of the normal direction. The penetration depth follows from it: less than 0.1 mm for 11 N."""
+"""Impedance of the normal direction. The penetration depth follows from it: less than 0.1 mm for 11 N."""
 FRICTION_TIME_CONSTANT_S = 0.004
 """Shortest time that MuJoCo allows at a step of 2 ms: in a curve, a wheel slips sideways by the lateral
 acceleration times this."""

@@ -48,7 +48,7 @@ def make_mujoco_plant(
         start_pose: (3,) in the wall frame.
         servos: model of its servos; XH430-W210 by default.
         rng: source of the truth's deviations from nominal.
-        randomise_truth: whether the truth deviates at all.
+        randomise_truth: True if the truth deviates from nominal.
         geometry_share: see `hil.fakes.plant.parameters.draw`.
         faults: see `SteppedBody`.
         mjcf: file of the user's own robot, which gives masses and places of wheels.

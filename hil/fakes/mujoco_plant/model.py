@@ -47,10 +47,10 @@ from hil.fakes.plant.robot import GRAVITY_M_S2
 
 STEP_S = 0.001
 _FORK_ARMATURE_KG_M2 = 1e-3
-"""Of steering gears and rotors: larger than a fork's own inertia, so that forces hardly turn the fork."""
+"""Inertia of gear and rotor: larger than a fork's own, so that forces hardly turn the fork."""
 _SURFACE_M = 100.0
 _TOLERANCE = 1e-6
-"""Of the solver: a hundredth of it changes a path by a micrometre per metre and takes a tenth longer."""
+"""Tolerance of the solver: a hundredth of it changes a path by 1 um/m and takes a tenth longer."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Built:
         wheel_of: wheel index by geom index.
         radius_m: (4,) rolling radii of the wheels.
         contact: contact setting.
-        source: where the robot was read from, for messages.
+        source: origin of the robot's description, for messages.
     """
 
     model: Any
@@ -90,7 +90,7 @@ def build_model(
 
     Args:
         p: true parameters; for a robot from a file, only motors, fan and friction are used.
-        contact: how wheels touch the surface.
+        contact: contact law of the wheels.
         robot: nominal robot, with which the file is compared; no comparison without it.
         mjcf: file of the user's own robot; generated without one.
         step_s: internal step; by default that of the user's file, or 1 ms.

@@ -33,13 +33,14 @@ class Constants(Record):
         com_x, com_y, com_height: centre of mass in body axes from the origin, and over the surface.
         gravity: acceleration along the surface.
         press, press_y, press_x: normal force of the weight, and its moments about the body's axes.
-        adhesion, thrust, thrust_torque, thrust_height: of fan and propellers.
+        adhesion, thrust, thrust_torque, thrust_height: forces of fan and propellers, moment of their
+            imbalance, and height of the thrust.
         creep_along, creep_across, softening, stiffness, damping, rolling: contact law of a wheel.
         supply, velocity_p, velocity_i, position_p: voltage, and gains of the servos' control loops.
         fall_slide: sliding distance with no wheel holding after which the robot has fallen.
-        offset, play: of the steering.
+        offset, play: zero offset and play of the steering.
         load_map: (4, 3) normal loads by total force, M_y and M_x, row by row.
-        kt, ke, ohm, joint_inertia, coulomb, viscous: of the joints' motors and gears.
+        kt, ke, ohm, joint_inertia, coulomb, viscous: constants of the joints' motors and gears.
     """
 
     dt: float
@@ -101,8 +102,8 @@ class State(Record):
         angle, rate, amps: angle, rate and current of the joints.
         integral, reference: states of the joints' velocity and position loops.
         bristle: deflection of the contacts, wall axes, x and y of each wheel in turn.
-        slip: of the wheels in their own frames, along and across of each in turn.
-        heading: of the wheels, in the body frame.
+        slip: slip velocities of the wheels in their own frames, along and across of each in turn.
+        heading: headings of the wheels in the body frame.
         use: used share of each contact's grip.
         load: normal loads.
         next_share: factor by which the friction cone scales each contact's force; 1 while it holds.

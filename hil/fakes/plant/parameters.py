@@ -31,7 +31,7 @@ class ContactParameters:
         friction: coefficient of the cone |F| <= friction N.
         creep_along, creep_across: creep stiffness per normal load.
         softening: share of creep stiffness lost as the cone is approached (eta).
-        stiffness_n_m, damping_n_s_m: of the bristles, equal in both directions.
+        stiffness_n_m, damping_n_s_m: stiffness and damping of the bristles, equal in both directions.
         rolling_resistance: torque at the axle per load and radius.
     """
 
@@ -76,13 +76,13 @@ class TrueParameters:
     Attributes:
         wheel_x_m, wheel_y_m, wheel_radius_m: (4,).
         steering_offset_rad: (4,) wheel heading minus servo angle (without play).
-        mass_kg, centre_of_mass_m, yaw_inertia_kg_m2: as `RobotConfig`.
+        mass_kg, centre_of_mass_m, yaw_inertia_kg_m2: true values of the keys of `RobotConfig`.
         adhesion_n: force towards the surface, 0 while the fan is off.
         thrust_n: force of both propellers along body x.
         thrust_torque_n_m: torque of their imbalance about the body's origin.
-        thrust_lever_m: that torque per thrust.
+        thrust_lever_m: ratio of that torque to the thrust.
         working_point: true forces of fan and propellers at their nominal set-points on a wall.
-        propeller_height_m, supply_v: as `RobotConfig`.
+        propeller_height_m, supply_v: true values of the keys of `RobotConfig`.
     """
 
     wheel_x_m: Array

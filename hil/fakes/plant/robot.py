@@ -140,7 +140,7 @@ def true_parameters(
     Args:
         robot: nominal robot.
         ground: the surface.
-        tilt_rad: of the surface.
+        tilt_rad: tilt of the surface.
         servos: model of its servos; XH430-W210 when None.
         rng: source of the truth's deviations from nominal.
         geometry_share: see `hil.fakes.plant.parameters.draw`; None for nominal parameters.
@@ -173,7 +173,7 @@ def make_plant(
         start_pose: (3,) in the wall frame.
         servos: model of its servos; XH430-W210 by default.
         rng: source of the truth's deviations from nominal.
-        randomise_truth: whether the truth deviates at all.
+        randomise_truth: True if the truth deviates from nominal.
         geometry_share: see `hil.fakes.plant.parameters.draw`.
         faults: see `WallRobot`.
         step_ns: see `WallRobot`.

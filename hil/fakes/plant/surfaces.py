@@ -33,7 +33,7 @@ class Surface:
 
     Attributes:
         friction: coefficient of the friction cone.
-        adhesive: whether ducted fan and propellers run on it; the floor needs neither.
+        adhesive: True if ducted fan and propellers run on it; the floor needs neither.
         creep_along, creep_across: creep stiffness per normal load, along and across the wheel.
         patches: areas with other friction.
     """

@@ -71,19 +71,19 @@ class ServoBusOptions:
     """Eight servos as the robot's own software left them; the bench must cope with anything else.
 
     Attributes:
-        ids: by joint: drives FL, BL, BR, FR, then steers.
-        baud: of the whole bus.
+        ids: IDs by joint: drives FL, BL, BR, FR, then steers.
+        baud: baud rate of the whole bus.
         steer_mode: operating mode of the steering servos (3 position, 4 extended position).
         return_delay: Return Delay Time, 2 us steps.
-        firmware: of all servos.
-        model_number: of all servos.
-        firmware_by_joint, model_by_joint: of those that differ, firmware and model number. A number that has
+        firmware: firmware of all servos.
+        model_number: model number of all servos.
+        firmware_by_joint, model_by_joint: firmware and model number of those that differ. A number that has
             no control table is reported all the same, with the registers of `model_number` behind it.
         eeprom: further EEPROM registers by joint and name, raw counts.
         absent: IDs that are not connected.
-        after_absent: what later servos of a sync read do when an earlier one does not answer, which
-            the vendor does not say: `silent` for ever, or `skip` it after its time has passed.
-        processing_s: from the end of a request to the start of the reply with no return delay.
+        after_absent: behaviour of later servos of a sync read when an earlier one does not answer, which the
+            vendor does not say: `silent` for ever, or `skip` it after its time has passed.
+        processing_s: time from the end of a request to the start of the reply with no return delay.
         ping_slot_s: spacing by ID of the replies to a broadcast ping.
         boot_s: silence after power-up and reboot.
         supply_v: pack voltage; where it is left out, that of the robot of the recordings (11.1 V), or what

@@ -34,13 +34,13 @@ class Trajectory:
     """Present reference of position (counts) or velocity (velocity counts).
 
     Args:
-        model: gives the units of goals and profiles.
+        model: model of the servo: gives the units of goals and profiles.
 
     Attributes:
         position, speed: position counts, and counts per second, of a position trajectory.
         velocity: velocity counts of a velocity trajectory.
         shape: `STEP`, `RECTANGLE`, `TRIANGLE` or `TRAPEZOID` of the latest position goal.
-        ongoing: whether the trajectory still changes.
+        ongoing: True while the trajectory still changes.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -123,7 +123,7 @@ class PositionRegister:
     """Converts between encoder counts (joint direction, from joint angle 0) and Present Position.
 
     Args:
-        model: gives the counts per turn.
+        model: model of the servo: gives the counts per turn.
         zero: encoder counts of the chip at joint angle 0.
 
     Attributes:
@@ -170,9 +170,9 @@ class Axis:
     Attributes:
         position: Present Position and its conversion.
         trajectory: trajectory to the latest goal.
-        torque: whether the motor is driven.
+        torque: True if the motor is driven.
         mode: active operating mode.
-        tripped: whether the bus watchdog has stopped the motor.
+        tripped: True if the bus watchdog has stopped the motor.
         share: joint angle per motor angle: less than 1 while the hub slips.
     """
 

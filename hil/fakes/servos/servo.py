@@ -41,7 +41,7 @@ class Servo:
         joint: index in the plant and in `hil.core.signals.SERVOS`.
         table: the control table.
         axis: motor control.
-        dead: whether it has no power.
+        dead: True if it has no power.
         busy_until_ns: end of the boot time, before which it receives nothing.
         velocity: last measured, counts in the joint's direction.
         temperature_limit, least_voltage, most_voltage: limits in raw counts, beyond which it sets an error.

@@ -51,7 +51,7 @@ class ServoFaults:
 
     Attributes:
         plan: view of the faults of bus and servos. `plan.empty` equals `none` and is cheaper to read.
-        replies: what becomes of the replies of each servo, by joint.
+        replies: faults of the replies of each servo, by joint.
     """
 
     def __init__(

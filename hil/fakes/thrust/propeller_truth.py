@@ -15,7 +15,7 @@ class ThrustTruthOptions:
     """Initial state of the propellers, and their time constant.
 
     Attributes:
-        start: as for the emulated fan: `tethered`, `running`, `off`, or `by use`.
+        start: initial state, as for the emulated fan: `tethered`, `running`, `off`, or `by use`.
         lag_s: time constant of the force.
         full_force_n: true force of all propellers at full throttle; that of `[thrust]` when left out.
     """

@@ -49,7 +49,7 @@ class TeensyChip(SerialChip):
 
     Args:
         world: plant, seed and faults.
-        config: of the propellers.
+        config: configuration of the propellers.
         options: true imperfections.
         name: device name of its faults.
 

@@ -39,7 +39,7 @@ class TrackerTransport(DatagramTransport):
 
     Args:
         camera: the emulated camera.
-        host, port: where to listen; port 0 takes a free one.
+        host, port: address and UDP port to listen at; port 0 takes a free one.
 
     Attributes:
         strange: number of datagrams with another layout.
