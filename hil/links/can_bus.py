@@ -77,7 +77,7 @@ class CanLink:
         clock: the bench clock.
 
     Attributes:
-        error: what the interface reported last; empty for nothing.
+        error: latest error of the interface; empty for nothing.
         error_frames: seen since `open`.
     """
 
@@ -144,7 +144,7 @@ class CanLink:
         return self._waiting(self._read, nanoseconds(wait_s))
 
     def set_decoder(self, meaning: Meaning) -> None:
-        """From now on `read_samples` gives the samples that `meaning` makes of frames; `take` gives nothing.
+        """Make `read_samples` give the samples that `meaning` makes of frames; `take` then gives nothing.
 
         Frames that wait are dropped: they are older than the next reader would assume.
         """

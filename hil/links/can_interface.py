@@ -33,8 +33,8 @@ class OpenBus:
     """An open bus whose only exception is `BusFailedError`, beside a stop of the bench.
 
     Args:
-        bus: of any interface. An emulated one of this process has `take`, whose frames look like messages of
-            python-can and must not be changed.
+        bus: open bus of any interface. An emulated one of this process has `take`, whose frames look like
+            messages of python-can and must not be changed.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -119,7 +119,7 @@ def of_own_group(interface: str, bus: can.BusABC) -> can.BusABC:
     host has joined. Frames sent to the address of this host itself, not to a group, still arrive.
 
     Args:
-        interface: of python-can; the bus of any other than `udp_multicast` is left as it is.
+        interface: name of python-can's interface; the bus of any other than `udp_multicast` is left as it is.
         bus: just opened; its `fileno` is that of its socket.
     """
     if interface == "udp_multicast":

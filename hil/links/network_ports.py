@@ -39,10 +39,10 @@ def open_network_port(url: str, *, baud: int, timeout_s: float, write_timeout_s:
     """Open `socket://HOST:PORT` or `rfc2217://HOST:PORT`; raises as pyserial does.
 
     Args:
-        url: of the port; its scheme in any case.
+        url: URL of the port; its scheme in any case.
         baud: bits per second; a raw socket's server must be set to it.
-        timeout_s: of reads.
-        write_timeout_s: of writes to a raw socket.
+        timeout_s: timeout of reads.
+        write_timeout_s: timeout of writes to a raw socket.
     """
     if url.lower().startswith(SOCKET):
         return SocketPort(url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s)
@@ -121,7 +121,7 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
         return bytes(data) + rest
 
     def close(self) -> None:
-        """As `SocketPort.close`."""
+        """Close it as `SocketPort.close` does. Idempotent."""
         connection = self._socket
         super().close()
         if connection is not None:

@@ -12,7 +12,8 @@ class PacketParser(Generic[P]):
     """Splits a byte stream into packets.
 
     Args:
-        length: of the packet that a buffer of at least `head` bytes begins with; 0 where it cannot begin one.
+        length: function to the length of the packet that a buffer of at least `head` bytes begins with; 0
+            where it cannot begin one.
         decode: a packet of that many bytes; None where its checksum is wrong.
         head: bytes that `length` needs.
     """

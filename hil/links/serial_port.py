@@ -26,7 +26,7 @@ class SerialPort:
         device: name in errors.
         url: device path or pyserial URL.
         baud: bits per second.
-        expected: what should be there, in errors.
+        expected: expected device, in errors.
         shared: another driver of this process may have the port open, too.
 
     Raises:
@@ -56,7 +56,7 @@ class SerialPort:
             raise self._lost(error) from None
 
     def read_some(self) -> bytes:
-        """As `read_available`, but waits up to 10 ms for a first byte. Raises `PortLostError`."""
+        """Bytes as of `read_available`, but waits up to 10 ms for a first one. Raises `PortLostError`."""
         try:
             return bytes(self._port.read(max(1, self._port.in_waiting)))
         except PORT_ERRORS as error:
@@ -84,7 +84,7 @@ class SerialPort:
             data: the request; empty to listen only.
             feed: makes packets or lines of bytes (`PacketParser.feed`, `LineParser.feed`).
             answer: converts a packet to the answer; None for a packet that is no answer.
-            clock: of the bench.
+            clock: clock of the bench.
             timeout_s: longest wait.
 
         Raises:

@@ -16,7 +16,7 @@ class SerialSensor(StreamingSensor[C, S]):
     """Base of the drivers of such sensors: define `identify`, `parse`, `sample`, and if needed `configure`.
 
     Attributes:
-        port: while open.
+        port: the open port; None while closed.
         shared: another driver of this process may have the port open, too.
     """
 

@@ -86,7 +86,7 @@ class SharedPort(LocalPort):
     """
 
     _locks: ClassVar[dict[str, list[int]]] = {}
-    """By device path: the descriptor that holds the lock, and how many drivers rely on it."""
+    """Descriptor that holds the lock and number of drivers that rely on it, by device path."""
     _locked = ""
 
     def open(self) -> None:
@@ -151,9 +151,9 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
 
     Args:
         device: name in the error.
-        url: that could not be opened.
+        url: URL that could not be opened.
         error: one of `PORT_ERRORS`.
-        expected: what should be there.
+        expected: expected device.
     """
     number = getattr(error, "errno", None)
     remedy = "check the cable and the port name; `hil discover` lists ports"
@@ -209,9 +209,9 @@ def open_serial(
     Args:
         url: device path or any pyserial URL.
         baud: bits per second; a raw socket's server must be set to it.
-        timeout_s: of reads.
-        write_timeout_s: of writes, where the port has one.
-        shared: whether another driver of this program may have the port open, too: one that only writes, one
+        timeout_s: timeout of reads.
+        write_timeout_s: timeout of writes, where the port has one.
+        shared: True if another driver of this program may have the port open, too: one that only writes, one
             that only reads.
 
     Raises:

@@ -21,7 +21,7 @@ class SilenceTimer:
         limit_s: longest time without useful data.
 
     Attributes:
-        good_ns: when it last sent useful data, moved on by pauses.
+        good_ns: time at which it last sent useful data, moved on by pauses.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -37,7 +37,7 @@ class SilenceTimer:
         """Time without useful data, ns, once that exceeds the limit; else 0.
 
         Args:
-            useful: whether this read has given useful data.
+            useful: True if this read has given useful data.
             now_ns: time of this read.
         """
         gap_ns, before_ns = now_ns - self._asked_ns, self._between_ns

@@ -32,11 +32,11 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
     Attributes:
         name: kind of the device.
         what: one measurement, in errors.
-        expected: what should be there, in errors.
-        remedy: what to do about silence.
-        port_gone: whether port or bus have failed; the bench opens the sensor again (`reopen`).
-        period_ns: between two samples.
-        heard_ns: when the last whole measurement came.
+        expected: expected device, in errors.
+        remedy: remedy for silence.
+        port_gone: True if port or bus have failed; the bench opens the sensor again (`reopen`).
+        period_ns: period between two samples.
+        heard_ns: time at which the last whole measurement came.
         stuck: finds measurements that are the same to the last bit for too long.
     """
 
@@ -86,7 +86,7 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         self.reopen()
 
     def reopen(self) -> None:
-        """As `open`, after an outage of port or bus: sample numbers go on. Raises `DeviceError`."""
+        """Open again after an outage of port or bus: sample numbers go on. Raises `DeviceError`."""
         self._disconnect()
         try:
             identity = self._connect()

@@ -39,7 +39,7 @@ class AlignmentParameters:
         drive_sign, steer_sign: (4,) of +-1, wheel order.
         steer_zero_rad: (4,) servo angle at which the wheel points along body x.
         tracker_scale: distance that the camera reports over the true distance.
-        on_wall: whether gravity lies in the motion plane.
+        on_wall: True if gravity lies in the motion plane.
     """
 
     drive_sign: tuple[int, ...] = (1, 1, 1, 1)

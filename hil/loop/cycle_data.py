@@ -72,7 +72,7 @@ class Cycle:
 
         Args:
             reason: one word in `snake_case`; names the stop in results and on pages.
-            message: what was found, and what to do.
+            message: finding and remedy, in words.
             suspects: devices that may be the cause, besides those that the reason implies.
         """
         known = self.stops.get(reason)

@@ -73,7 +73,7 @@ class ControlPipeline:
         external: another program that drives in place of `controller`; None without one.
 
     Attributes:
-        estimator, controller, observers: may be replaced before a run.
+        estimator, controller, observers: parts that may be replaced before a run.
         reference: reference of the latest cycle, also when that ended in a `SafetyStop`.
         figures: figures of the checks in that cycle (`Cycle.diagnostics`), by name.
     """

@@ -128,7 +128,7 @@ def _is_pose(x_m: float, y_m: float, z_m: float, w: float, x: float, y: float, z
 
 @inner
 def _yaw(w: float, z: float) -> float:
-    """As `yaw_of_quat`, from the components w and z of a quaternion."""
+    """Rotation as of `yaw_of_quat`, from the components w and z of a quaternion."""
     return wrap(2.0 * math.atan2(z, w))
 
 

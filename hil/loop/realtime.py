@@ -62,7 +62,7 @@ class RealTime:
 
     Attributes:
         warnings: refused settings, and remedies.
-        collections: how often the collector ran in idle time.
+        collections: number of collections in idle time.
     """
 
     def __init__(self, clock: Clock, *, fifo_priority: int | None = None, cpu: int | None = None) -> None:
@@ -204,7 +204,7 @@ def warm_up(pipeline: ControlPipeline, start: RobotState) -> None:
     Loading compiled estimators takes some tenths of a second: longer than servos may be without commands.
 
     Args:
-        pipeline: is reset to `start` before and after.
+        pipeline: pipeline to run; it is reset to `start` before and after.
         start: state of the robot at rest, at or before the first cycle.
     """
     pipeline.reset(start)

@@ -47,17 +47,17 @@ class Checks:
         estimate: the estimate against motion capture; None without motion capture or another independent
             sensor.
         wheels: each wheel against the other three; None where they are not commanded by one motion.
-        needs_camera: whether the estimate in the loop uses the camera: the robot stops if that is in doubt or
+        needs_camera: True if the estimate in the loop uses the camera: the robot stops if that is in doubt or
             silent.
         steering: external encoders against the servos; None without this check.
-        stops_by_steering: whether a slipped horn stops the robot: if a pose is followed.
+        stops_by_steering: True if a slipped horn stops the robot, as where a pose is followed.
         estimated: devices whose measurements the estimators use.
         holders: devices that keep the robot on its surface: noun by kind.
         healthy: expected rate and delay of the samples, by sensor.
-        gap_s: by sensor, longest healthy time without a good sample.
+        gap_s: longest healthy time without a good sample, by sensor.
         brought: sensors of other packages, and sample fields that they do not measure.
         hold: check of the adhesion force; None where no sensor measures it.
-        lost_after_s: by sensor, time without any sample after which a robot that follows a pose stops;
+        lost_after_s: time without any sample, by sensor, after which a robot that follows a pose stops;
             reconnecting a sensor may take longer.
         added: checks of the device kinds, by kind.
     """

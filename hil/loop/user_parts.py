@@ -128,7 +128,7 @@ def _wrong_arrays(
 
 
 def _wrong_numbers(setpoint: WheelSetpoint) -> tuple[str, str] | None:
-    """As `_wrong_arrays`, for a number of a setpoint that is not finite."""
+    """Found and expected, as of `_wrong_arrays`, for a number of a setpoint that is not finite."""
     for name in _SETPOINT:
         values: list[float] = getattr(setpoint, name).tolist()
         if not all(map(math.isfinite, values)):
@@ -137,7 +137,7 @@ def _wrong_numbers(setpoint: WheelSetpoint) -> tuple[str, str] | None:
 
 
 def _wrong_state(found: RobotState) -> tuple[str, str] | None:
-    """As `_wrong_arrays`, for the other fields of a state, and for the symmetry of its covariance."""
+    """Found and expected, for the other fields of a state and the symmetry of its covariance."""
     t_ns, figures = found.t_ns, found.diagnostics
     if not isinstance(t_ns, (int, np.integer)) or int(t_ns).bit_length() > _BITS:
         return f"a RobotState whose t_ns is {_in_words(t_ns)}", "whole nanoseconds"

@@ -38,9 +38,9 @@ class EscStatus:
     """`uavcan.equipment.esc.Status`; NaN for what the controller does not know.
 
     Attributes:
-        node_id: of the controller.
-        index: of the controller in the arrays of commands.
-        temperature_k: of the hottest part, K.
+        node_id: node id of the controller.
+        index: index of the controller in the arrays of commands.
+        temperature_k: temperature of the hottest part, K.
         power_pct: share of the greatest power.
     """
 
@@ -59,9 +59,9 @@ def command_frame(kind: int, index: int, value: int, *, node_id: int, transfer_i
 
     Args:
         kind: `RAW_COMMAND` (-8192..8191 of full) or `RPM_COMMAND`.
-        index: of the controller.
+        index: index of the controller in the array of commands.
         value: the set-point.
-        node_id: of the sender.
+        node_id: node id of the sender.
         transfer_id: counts up with each message of a kind.
 
     Raises:

@@ -77,8 +77,8 @@ class Order:
         controller_id: the receiver; `ALL_SERVOS` for all.
         packet: the quantity.
         value: duty -1..1, current A, electrical rpm, position deg, or share of the configured current.
-        off_delay_s: of a (relative) current: how long the controller goes on modulating at 0 A; None for a
-            command without this field.
+        off_delay_s: time for which the controller goes on modulating at 0 A, of a (relative) current; None
+            for a command without this field.
     """
 
     controller_id: int
@@ -92,8 +92,8 @@ class Pong:
     """The answer to a ping.
 
     Attributes:
-        controller_id: of the controller that answers.
-        asker_id: of the node that sent the ping.
+        controller_id: id of the controller that answers.
+        asker_id: id of the node that sent the ping.
         hardware: 0 for a motor controller; None from firmware that does not report it.
     """
 

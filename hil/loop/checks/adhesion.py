@@ -46,12 +46,13 @@ class AdhesionWatch(Check):
 
     Args:
         limits: limits of the bench.
-        can_fall: whether the robot hangs on a wall without a tether; else this check never stops it.
+        can_fall: True if the robot hangs on a wall without a tether; else this check never stops it.
 
     Attributes:
-        limits, can_fall: as given.
+        limits, can_fall: arguments as given.
         heading_rad: last estimated heading of the body.
-        figures: for the robot's state: force, needed force, margin, and friction utilisation of each wheel.
+        figures: figures for the robot's state: force, needed force, margin, and friction utilisation of each
+            wheel.
     """
 
     def __init__(self, limits: AdhesionLimits, *, can_fall: bool) -> None:

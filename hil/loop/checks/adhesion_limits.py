@@ -29,7 +29,7 @@ class AdhesionLimits:
         fan: ratings of the fan; None without one.
         low_input_v, hot_fet_c: limits of the fan's battery voltage and controller temperature.
         zero_n: sum of the load cells' zeros; None without cells.
-        reports_thrust: whether the propellers' controllers report their speed.
+        reports_thrust: True if the propellers' controllers report their speed.
         stale_s: silence after which fan, cells or reporting propellers are no longer trusted.
     """
 

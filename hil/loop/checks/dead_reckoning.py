@@ -76,7 +76,7 @@ def moved(before: Kept, now: Kept) -> tuple[complex, float]:
 
     Args:
         before: values that begin with position (m, complex) and heading (rad).
-        now: as `before`.
+        now: values at the end, as `before`.
     """
     return (now[0] - before[0]) * cmath.rect(1.0, -before[1].real), (now[1] - before[1]).real
 

@@ -34,12 +34,12 @@ class Disagreement:
     Attributes:
         source: the device that the others contradict, or the first of two.
         message: text with both measurements.
-        grave: whether the robot must stop.
-        confirmed: whether two other devices agree against the source.
+        grave: True if the robot must stop.
+        confirmed: True if two other devices agree against the source.
         off: difference of the two since it began, m or rad.
-        turns: whether the difference is a turn.
+        turns: True if the difference is a turn.
         against: the device that contradicts the source.
-        unseen: whether the wheels may have slipped before the camera delivered poses.
+        unseen: True if the wheels may have slipped before the camera delivered poses.
     """
 
     source: str
@@ -68,7 +68,7 @@ class Sum:
     Args:
         first, second: the devices.
         warn, stop: sums at which a warning is given, and the robot stopped.
-        turns: whether the sum is one of turns.
+        turns: True if the sum is one of turns.
 
     Attributes:
         names: names of the devices.

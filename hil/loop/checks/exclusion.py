@@ -17,7 +17,7 @@ class Exclusion:
 
     Args:
         estimated: devices whose measurements the estimators use.
-        on_wall: whether gravity pulls along the surface.
+        on_wall: True if gravity pulls along the surface.
     """
 
     def __init__(self, estimated: frozenset[str], *, on_wall: bool) -> None:

@@ -91,8 +91,8 @@ class FilterFit(Check):
         Args:
             state: the estimate.
             events: receives findings.
-            anew: whether the camera's frame was re-anchored in this cycle.
-            refused: whether one of its poses was rejected in this cycle.
+            anew: True if the camera's frame was re-anchored in this cycle.
+            refused: True if one of its poses was rejected in this cycle.
         """
         figures = state.diagnostics
         misfit, before = figures.get("nis_mean_tracker", 1.0), self._mean

@@ -13,7 +13,7 @@ class LostCheck(Check):
 
     Args:
         samples: check with the ages of all samples.
-        checks: for `needs_camera` and `lost_after_s`.
+        checks: checks of the bench, for `needs_camera` and `lost_after_s`.
         excluded: devices that are excluded.
     """
 

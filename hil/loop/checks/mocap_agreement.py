@@ -33,7 +33,7 @@ class MocapTolerances:
         warn_m, stop_m: sums for a warning and for a stop: an undetected camera delay of 50 ms gives 6 mm
             after every start and stop at 0.12 m/s.
         path: m per rolled metre by which wheels differ: radii (1 %), wheels that are not parallel (3 %).
-        slipped_warn_m, slipped_stop_m: as `warn_m` and `stop_m`, for the wheels.
+        slipped_warn_m, slipped_stop_m: sums as `warn_m` and `stop_m`, for the wheels.
     """
 
     scale: float = 0.03

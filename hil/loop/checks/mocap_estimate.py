@@ -38,7 +38,7 @@ class MocapEstimate(Check):
 
     Args:
         capture: keeps the poses of motion capture, and the displacements of camera and wheels.
-        follows: whether control uses this estimate; else it only warns.
+        follows: True if control uses this estimate; else it only warns.
 
     Attributes:
         required: the sensor without which the estimate is not checked.

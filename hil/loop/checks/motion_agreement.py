@@ -89,7 +89,7 @@ class MotionCheck:
     Args:
         geometry: wheel geometry.
         honest: permitted differences of good sensors.
-        on_wall: whether body x points up, within the heading limit on a wall.
+        on_wall: True if body x points up, within the heading limit on a wall.
         seen: permitted differences of camera and wheels from motion capture.
 
     Attributes:

@@ -32,7 +32,8 @@ class Healthy:
         rate_hz: samples per second; NaN where the rate is set outside the bench file.
         delivered: smallest share of good samples.
         age_s: largest age of a sample when it is read.
-        loop_hz: how often the sensor is read. A second in which the loop itself was late is not evaluated.
+        loop_hz: rate at which the sensor is read. A second in which the loop itself was late is not
+            evaluated.
     """
 
     rate_hz: float

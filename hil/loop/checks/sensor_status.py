@@ -30,8 +30,8 @@ class SensorStatus(Check):
     """Checks status and age of the samples of one run.
 
     Args:
-        stale_s: by sensor, time without a good sample after which it counts as silent.
-        gap_s: by sensor, longest healthy time without a good sample; a longer one is reported once a sensor
+        stale_s: time without a good sample after which a sensor counts as silent, by sensor.
+        gap_s: longest healthy time without a good sample, by sensor; a longer one is reported once a sensor
             has delivered.
         brought: sensors of other packages, and fields that they do not measure; all other fields of their
             samples are checked for NaN and infinity.

@@ -137,8 +137,8 @@ class SteeringWatch(Check):
     Args:
         config: settings of the encoders.
         ids: bus IDs of the four steering servos; empty when unknown.
-        measured_rad: as in `CrossCheck`.
-        stops: whether a slipped horn stops the robot, or is reported only.
+        measured_rad: (4,) difference that was measured before, as in `CrossCheck`.
+        stops: True if a slipped horn stops the robot; else it is only reported.
     """
 
     def __init__(
