@@ -59,7 +59,7 @@ def chain_of(error: BaseException, *, shipped: bool = False) -> tuple[Call, ...]
 
     Args:
         error: the caught exception.
-        shipped: whether the procedures that come with this package count as the user's.
+        shipped: True if the procedures of this package count as the user's.
     """
     return tuple(_frames(error, shipped))[-_MOST:]
 

@@ -57,11 +57,11 @@ class Search:
     """What discovery may search besides serial ports.
 
     Attributes:
-        given: by kind, tables of devices that the user named.
+        given: tables of devices that the user named, by kind.
         clock: clock for timeouts.
         say: receives progress.
-        sysfs: where the kernel lists its devices.
-        found: by kind, tables of what has been found so far.
+        sysfs: folder in which the kernel lists its devices.
+        found: tables of what has been found so far, by kind.
     """
 
     given: Mapping[str, Sequence[Any]]
@@ -133,7 +133,7 @@ class DeviceModel:
         driver: `package.module:Class` of the driver, which takes (config, clock).
         chip: `package.module:Class` of the emulated device; empty where it cannot be emulated.
         probe_order: models with a smaller number are probed first: those that answer quickly.
-        probe_writes: what `probe` writes to the port, in words; empty where it only listens.
+        probe_writes: bytes that `probe` writes to the port, in words; empty where it only listens.
         usb: (vendor, product) ids of adapters that are this model; no `probe` writes to such adapters.
         not_measured: fields of the kind's sample that this model does not measure: NaN with every status.
         package: name and version of the package that provides it; set when it is loaded.
@@ -209,23 +209,23 @@ class DeviceKind:
         aliases: other common names.
         labels: names of the channels, where `status` has several.
         endpoint: its name in the output of `hil emulate`, where that differs from `name`.
-        moves_robot: whether it is opened last and closed first, because it moves the robot: servos only.
-        holds_robot: whether its action keeps the robot on its surface
-            (`hil.core.interfaces.Holding`): opened first, closed last, left alone by a stop.
-        guards_hold: whether its samples show how firmly the robot is held. A run that leaves devices out
+        moves_robot: True if it is opened last and closed first, because it moves the robot: servos only.
+        holds_robot: True if its action keeps the robot on its surface (`hil.core.interfaces.Holding`): opened
+            first, closed last, left alone by a stop.
+        guards_hold: True if its samples show how firmly the robot is held. A run that leaves devices out
             keeps this device, as it keeps the devices that hold the robot.
-        has_own_clock: whether samples carry the device's own time.
+        has_own_clock: True if samples carry the device's own time.
         max_age_s: largest age of its samples on arrival, at rest.
         max_gap_s: longest gap between good samples that is still healthy.
         min_delivered: smallest share of good samples.
         topics: ROS 2 topics on which its samples are recorded.
-        plots: where the monitor draws `figures`.
+        plots: plots in which the monitor draws `figures`.
         motion_threshold: largest apparent change of `motion_value` within 0.2 s while the robot rests; 0
             where its samples do not show motion.
-        measures_position: whether `motion_value` is a position in m, which gives the distance travelled.
+        measures_position: True if `motion_value` is a position in m, which gives the distance travelled.
             Where the threshold exceeds 1 mm, only a distance above the threshold counts.
-        silent_faults: by fault, why no check may report it: which data do not change, or that nothing detects
-            it; `*` for every other fault.
+        silent_faults: reason, by fault, why no check may report it: which data do not change, or that nothing
+            detects it; `*` for every other fault.
         package: name and version of the package that provides it; set when it is loaded.
     """
 

@@ -30,9 +30,9 @@ class HilError(Exception):
     """Root of every error raised on purpose.
 
     Args:
-        message: what is wrong, naming the file, key or device.
-        expected: what would have been right, if that can be said.
-        remedy: what the user can do about it.
+        message: description of the error, naming the file, key or device.
+        expected: correct value, if that can be said.
+        remedy: action that the user can take.
     """
 
     exit_code = EXIT_USAGE
@@ -67,7 +67,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def did_you_mean_file(given: str | Path, known: Iterable[str]) -> str:
-    """As `did_you_mean`, for files: compares their names without folder and ending, which many share."""
+    """Hint as of `did_you_mean` for files, by their names without folder and ending, which many share."""
     by_stem = {Path(name).stem: name for name in known}
     near = nearest(Path(given).stem, by_stem)
     return f"did you mean {by_stem[near]}?" if near else ""
@@ -117,7 +117,7 @@ def check_number(value: float, name: str, unit: str, *, above_zero: bool = False
         value: value of the argument.
         name: name of the argument.
         unit: unit for the error message.
-        above_zero: whether zero is refused as well.
+        above_zero: True to refuse zero as well.
 
     Raises:
         UsageError: naming argument, value and what was expected.

@@ -59,8 +59,8 @@ class EventRows:
         """Return the rows.
 
         Returns:
-            Of each row `t_s`, `level`, `device`, `what`, `count`, `last_s`, `bench`, and `left_out`: whether
-            the device's samples count for nothing from then on.
+            One table per row: `t_s`, `level`, `device`, `what`, `count`, `last_s`, `bench`, and `left_out`:
+            true if the device's samples count for nothing from then on.
         """
         return [dict(row) for row in self._rows.values()]
 

@@ -17,7 +17,7 @@ class Finding:
 
     Attributes:
         device: name of the device, or `bench`.
-        check: what was checked.
+        check: name of the check.
         found, expected, remedy: texts.
         frames: call chain in the package's code that failed, as of `hil.core.call_chain.as_json`.
     """

@@ -168,8 +168,8 @@ class ExternalController(Protocol):
 
     Attributes:
         name: value of `--controller`.
-        ask: gets its commands; returns none in a pipeline without a connection.
-        begun: whether a command arrived since `reset`; until then nothing moves, and the time of the
+        ask: function that gets its commands; returns none in a pipeline without a connection.
+        begun: True once a command has arrived since `reset`; until then nothing moves, and the time of the
             reference stands still.
         heard: commands of the latest cycle.
         warning: warning about the run so far; empty for none.

@@ -6,9 +6,9 @@ All code that writes, reads, shows or deletes such a folder takes them from here
 from __future__ import annotations
 
 RESULT, JOURNAL, REPORT, JUNIT = "result.json", "journal.jsonl", "report.html", "junit.xml"
-"""Of a run."""
+"""Files of a run."""
 RESULT_SCHEMA = 1
-"""Of `result.json`."""
+"""Number of the format of `result.json`."""
 
 PLAN, CAMPAIGN_TABLE, CAMPAIGN_CSV, CAMPAIGN_PAGE = (
     "plan.json",
@@ -17,17 +17,17 @@ PLAN, CAMPAIGN_TABLE, CAMPAIGN_CSV, CAMPAIGN_PAGE = (
     "campaign.html",
 )
 RUNS, ROWS = "runs", "rows"
-"""Of a campaign: files, and folders of its runs and of their rows."""
+"""Folders of a campaign, beside its files: its runs, and its rows."""
 
 COMMISSIONING_TABLE, COMMISSIONING_PAGE = "commission.json", "commission.html"
-"""Of a commissioning."""
+"""Files of a commissioning."""
 
 ACCEPTANCE_TABLE, ACCEPTANCE_PAGE = "accept.json", "accept.html"
-"""Of an acceptance."""
+"""Files of an acceptance."""
 
 FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX = "faults.json", "faults.html", "reliability.md"
 FAULTS_CELLS, FAULTS_CELLS_BEFORE = "cells.jsonl", "cells.before.jsonl"
-"""Of a fault campaign: its table and pages, its verdicts as they come, and those of one before it."""
+"""Files of a fault campaign: table and pages, verdicts as they come, verdicts of the one before."""
 
 COMPARISON, TRENDS = "compare.html", "trends.html"
 """Pages over several of them."""
@@ -36,4 +36,4 @@ PASSED = ("PASS", "MARGINAL")
 """Verdicts of what kept its limits, so that its findings may be used."""
 
 LOST = "LOST"
-"""In place of a verdict: a run of a campaign that left no result, which says nothing about the robot."""
+"""Word in place of a verdict: a run of a campaign without a result, which says nothing about the robot."""

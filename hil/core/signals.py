@@ -57,7 +57,7 @@ class Stamp:
 
     Attributes:
         t_ns: best estimate of the time of measurement, on the bench clock.
-        host_ns: when the host received it, on the bench clock.
+        host_ns: time at which the host received it, on the bench clock.
         seq: sequence number counted by the source (or the driver), never decreasing.
         device_ns: the device's own clock where it has one, else None.
     """
@@ -120,9 +120,9 @@ class ServoHold:
         position_rad: (8,), as in `ServoSample`; NaN where a servo did not answer.
         trouble: why a servo does not hold, by its name in `SERVOS`; empty when all eight have torque and an
             armed watchdog.
-        wanted: whether they are commanded to hold: from `enable` until `release`.
+        wanted: True while they are commanded to hold: from `enable` until `release`.
         late: description of servos that answer too late for a cycle, by name.
-        released: whether torque was on and `release` has switched it off; `enable` does not change it.
+        released: True if torque was on and `release` has switched it off; `enable` does not change it.
     """
 
     t_ns: int
@@ -457,7 +457,7 @@ class Event:
     all (`hil.core.suspects`).
 
     Attributes:
-        distrusts: whether the samples of the source count for nothing from now on, in this run.
+        distrusts: True if the samples of the source count for nothing from now on, in this run.
     """
 
     t_ns: int

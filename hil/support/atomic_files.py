@@ -23,8 +23,8 @@ def check_name(path: Path, whose: str = "") -> None:
     """Make sure that a file or folder can have this name, whether it is there or not.
 
     Args:
-        path: of the file or folder.
-        whose: what names it, for the error: an option, or the key of a bench file.
+        path: path of the file or folder.
+        whose: origin of the name, for the error: an option, or the key of a bench file.
 
     Raises:
         UsageError: the name is too long for file systems, or its folder may not be searched.
@@ -149,8 +149,8 @@ def check_new_file(path: Path, option: str) -> None:
     """Make sure that a file can be written that is not there yet; a device, as /dev/null, may be.
 
     Args:
-        path: of the file.
-        option: that names it.
+        path: path of the file.
+        option: option that names it, for the error.
 
     Raises:
         UsageError: there is a file of that name.

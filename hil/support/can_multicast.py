@@ -54,8 +54,8 @@ class HostMulticastBus(can.BusABC):
     Args:
         channel: IPv4 or IPv6 multicast group.
         port: UDP port of the bus.
-        fd: whether CAN FD frames are taken.
-        kwargs: as of `can.BusABC`. A `hop_limit` changes nothing: it is 0.
+        fd: True if CAN FD frames are taken.
+        kwargs: further arguments of `can.BusABC`. A `hop_limit` changes nothing: it is 0.
 
     Raises:
         can.CanInitializationError: the group cannot be joined at this port.

@@ -40,8 +40,8 @@ class Mark:
     """Marks a bus as emulated by this process.
 
     Args:
-        name: as `bus_name` gives it.
-        bitrate: of the bus, in bit/s.
+        name: name of the bus, as `bus_name` gives it.
+        bitrate: bit rate of the bus, in bit/s.
     """
 
     def __init__(self, name: str, bitrate: int) -> None:
@@ -72,11 +72,11 @@ class Emulation:
     """Detects that the emulation of a bus has ended; daemons of devices on it end then.
 
     Args:
-        name: as `bus_name` gives it.
-        known: whether an earlier check has found it emulated.
+        name: name of the bus, as `bus_name` gives it.
+        known: True if an earlier check has found it emulated.
 
     Attributes:
-        known: whether it was emulated when this was made, or is known to have been.
+        known: True if it was emulated when this was made, or is known to have been.
     """
 
     def __init__(self, name: str, *, known: bool = False) -> None:

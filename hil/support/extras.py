@@ -88,7 +88,7 @@ def how_to_install(extra: str, *, again: bool = False) -> str:
 
     Args:
         extra: the extra.
-        again: whether what is installed cannot be imported, so that the line installs it once more. A package
+        again: True if what is installed cannot be imported, so that the line installs it once more. A package
             of which files are missing is always installed once more.
     """
     wanted = _behind(extra)

@@ -127,7 +127,7 @@ def json_value(text: str | bytes) -> Any:
 
 
 def json_object(text: str | bytes) -> dict[str, Any]:
-    """As `json_value`, for a text that has to be an object.
+    """The value as of `json_value`, for a text that has to be an object.
 
     Raises:
         ValueError: it is no JSON, or no object.

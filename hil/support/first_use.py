@@ -12,7 +12,7 @@ def on_first_use(package: str, offered: Mapping[str, str]) -> Callable[[str], An
 
     Args:
         package: name of the package.
-        offered: for every name its module, or `MODULE:NAME` if it is called otherwise there.
+        offered: module of every name, or `MODULE:NAME` if it is called otherwise there.
     """
 
     def find(name: str) -> Any:

@@ -22,7 +22,7 @@ def maker_of(named: str, option: str, parts: Parts) -> Callable[..., Any]:
 
     Args:
         named: `FILE.py:NAME`; or `MODULE:NAME`, of an installed module or one in the current folder.
-        option: by which it was named, for errors.
+        option: option by which it was named, for errors.
         parts: methods that what it makes must have; classes that have them are offered for a wrong name,
             and so are functions.
 
@@ -54,11 +54,11 @@ def make_named(named: str, option: str, parts: Parts, given: object, *, expected
     """What a named class or function makes: called with `given` if it takes an argument, else with none.
 
     Args:
-        named: as `maker_of`.
-        option: as `maker_of`.
-        parts: as `maker_of`.
+        named: `FILE.py:NAME` or `MODULE:NAME`, as of `maker_of`.
+        option: option by which it was named, for errors.
+        parts: methods that the result must have.
         given: the argument.
-        expected: what its methods are, in words, for errors.
+        expected: description of its methods, for errors.
 
     Raises:
         ConfigError: as `maker_of`; or it fails, or what it makes lacks a method, or has one that cannot be
@@ -107,9 +107,9 @@ def _check_calls(part_of: Any, parts: Parts, given: str, *, bound: bool) -> None
 
     Args:
         part_of: a class, or an object; of a class only plain methods are looked at.
-        parts: with the arguments; without them nothing is checked.
+        parts: methods with their arguments; without those nothing is checked.
         given: option and name, for errors.
-        bound: whether it is an object.
+        bound: True for an object, False for a class.
     """
     for part, arguments in parts.items() if isinstance(parts, Mapping) else ():
         method = getattr(part_of, part) if bound else inspect.getattr_static(part_of, part, None)

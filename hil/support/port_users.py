@@ -81,7 +81,7 @@ def programs_with_name(name: str, proc: Path = PROC) -> list[Program]:
     """Other programs that have an abstract Unix address.
 
     Args:
-        name: of the address, without its leading zero byte.
+        name: text of the address, without its leading zero byte.
         proc: folder in which the kernel lists programs.
     """
     rows = (line.split() for line in _lines(proc / "net" / "unix"))

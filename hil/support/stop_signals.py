@@ -37,7 +37,7 @@ class StopRequest:
     """Records signals and does nothing else; the work in progress reacts at a suitable point.
 
     Attributes:
-        name: of the first one; empty before.
+        name: name of the first signal; empty before.
     """
 
     def __init__(self) -> None:

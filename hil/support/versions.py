@@ -27,7 +27,7 @@ _PACKAGES = (
 
 
 ABSENT = "absent"
-"""In place of the version of a package that is not installed."""
+"""Word in place of the version of a package that is not installed."""
 
 
 def version_of(package: str) -> str:
