@@ -43,7 +43,7 @@ def decoupled(
     Args:
         recordings: recordings of one robot.
         geometry: its wheels on paper.
-        asked: what to take out.
+        asked: coupling to take out.
 
     Raises:
         DataError: a coupling of 0.02 or more shows that was not asked for, or none can be fitted because no

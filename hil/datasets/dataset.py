@@ -43,7 +43,7 @@ class Recording:
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
         repairs: counts of repairs by name.
         problems: parts of its file that could not be read.
-        contradictions: what of its ground truth no robot can have done.
+        contradictions: motions of its ground truth that no robot can have made.
         notes: corrections of its ground truth, see `hil.datasets.truth_correction`.
         coupling: turns (4) of the drive encoders per turn of the steering that were taken out; else empty.
         nominal: nominal robot that it was read for.
@@ -188,7 +188,7 @@ def _check(
         drive: the same rows with whole turns undone.
         between_s: begin and end of the time that wheels and ground truth share.
         measured: steering angles of all rows and of those used, both as in the file, and wheel rates.
-        refusal: what is wrong with the wheel angles; raised unless a unit explains it.
+        refusal: error about the wheel angles; raised unless a unit explains it.
         robot: nominal robot.
     """
     counted, raw, rate = measured

@@ -32,10 +32,10 @@ class Unseen:
 
     Attributes:
         by: log without rows, `wheels` or `ground truth`.
-        after: whether the span is after the last row of that log, else before its first.
+        after: True if the span is after the last row of that log, else before its first.
         lasts_s: duration, s.
         moved_m: largest distance of the other log from the edge, turns at the distance of the wheels, m.
-        under_way: whether the wheels roll next to the span, where both logs have rows.
+        under_way: True if the wheels roll next to the span, where both logs have rows.
     """
 
     by: str

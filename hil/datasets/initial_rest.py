@@ -33,7 +33,7 @@ class Start:
 
     Attributes:
         pose: (3,) m, m, rad.
-        rolling: whether the wheels roll from there on, so that the pose is fitted.
+        rolling: True if the wheels roll from there on, so that the pose is fitted.
     """
 
     pose: Array

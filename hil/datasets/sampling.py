@@ -56,7 +56,7 @@ def wheel_steps(recording: Recording, at_s: Array, signal: str) -> tuple[Array, 
     """Wheel rotation (n - 1, 4) rad and mean steering angle (n - 1, 4) rad between the instants `at_s`.
 
     Args:
-        recording: with wheel and steering angles.
+        recording: recording with wheel and steering angles.
         at_s: (n,) instants, s.
         signal: `position` or `velocity`.
 
@@ -85,7 +85,7 @@ def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
     a block of any length.
 
     Args:
-        recording: with wheel and steering angles.
+        recording: recording with wheel and steering angles.
         edges_s: (n + 1,) edges of the blocks, s.
         signal: `position` or `velocity`.
     """

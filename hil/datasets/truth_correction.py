@@ -38,13 +38,13 @@ class _Found:
     """What a set of recordings has in common, 0 where nothing is to be corrected.
 
     Attributes:
-        late: whether each recording is late, or early.
+        late: True for each recording whose ground truth is late or early.
         fast: share by which the clock of the ground truth runs fast.
         typical_rad: heading of the ground truth minus the robot's in most recordings.
         heading_rad: the same, 0 where it is not corrected.
         centre_m: tracked point (x + iy) in the frame of the body.
-        notes: what is corrected, in words.
-        contradiction: what is not corrected, in words.
+        notes: corrections, in words.
+        contradiction: deviations that are not corrected, in words.
     """
 
     late: Sequence[bool]

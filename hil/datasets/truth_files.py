@@ -35,7 +35,7 @@ class TruthFile:
         path: file of all wheel logs, or folder with one file for each, of the same name but for its ending.
         body: name of the body; needed where a file holds several.
         offset_s: time to add to its stamps, s.
-        fitted: whether that time is fitted instead.
+        fitted: True to fit that time instead.
     """
 
     path: Path
@@ -75,7 +75,7 @@ def read_truth(
     """Ground truth of a wheel log, on its clock (columns x, y, theta), and name and SHA-256 of its file.
 
     Args:
-        given: what the caller named.
+        given: ground truth as the caller named it.
         wheels: file of the wheel log.
         log: wheel rows, as in the file.
         nominal: robot that it is read for.

@@ -23,7 +23,7 @@ def check_plane(where: str, position_m: Array, wxyz: Array, remedy: str) -> None
         where: the file, for messages.
         position_m: (n, 3) positions.
         wxyz: (n, 4) unit quaternions.
-        remedy: what to do where another axis is up.
+        remedy: remedy where another axis is up.
 
     Raises:
         DataError: says by how much.

@@ -49,8 +49,8 @@ class WrongSigns:
     """Recordings, of R, that contradict the ground truth and would agree with another sign.
 
     Attributes:
-        explained: for each change of a column, by description, mask (R,) of the recordings that it explains.
-        against: for each change, number of recordings that it would spoil.
+        explained: mask (R,) of the recordings that each change of a column explains, by description.
+        against: number of recordings that each change would spoil, by description.
         missed: share (R,) of the true way or turning that the wheels miss as they are.
     """
 
@@ -108,7 +108,7 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
     Args:
         recordings: recordings to check.
         nominal: robot that they are read for.
-        of_all: whether to refuse only signs that may be wrong in all of them.
+        of_all: True to refuse only signs that may be wrong in all of them.
 
     Raises:
         DataError: names the first file, and the columns that may be wrong.

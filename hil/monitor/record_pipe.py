@@ -56,8 +56,8 @@ def put(pipe: IO[bytes], payload: bytes, dropped: int = 0) -> None:
     """Write one message; waits while the pipe is full.
 
     Args:
-        pipe: to the monitor's process.
-        payload: of the message; empty for the end.
+        pipe: pipe to the monitor's process.
+        payload: bytes of the message; empty for the end.
         dropped: cycles that were not shown so far.
 
     Raises:

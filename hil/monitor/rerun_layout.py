@@ -47,9 +47,9 @@ class Sight(NamedTuple):
     """The part of the surface and of the robot in view.
 
     Attributes:
-        x_range, y_range: of the flat view, (right, down) in m.
-        eye: of the view in three dimensions, in the scene.
-        near: of the view beside the robot, in its body.
+        x_range, y_range: ranges of the flat view, (right, down) in m.
+        eye: camera of the view in three dimensions, in the scene.
+        near: camera of the view beside the robot, in its body.
     """
 
     x_range: tuple[float, float]
@@ -62,7 +62,7 @@ def line_colours(names: Sequence[str], before: int = 0) -> list[Colour]:
     """Colour per column; what belongs to one sensor has one colour, its gate a paler one.
 
     Args:
-        names: of the columns.
+        names: names of the columns.
         before: columns of the same plot that have their colours already.
     """
     found, known = [], {**dict(zip(kinds(), _BY_DEVICE, strict=False)), **_BY_MEASUREMENT}
@@ -82,8 +82,8 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0], further: Sequence[
     """The layout; needs the `rerun` extra.
 
     Args:
-        sight: what is in view; everything that is drawn when None.
-        tab: which of `TABS` is in front.
+        sight: part in view; everything that is drawn when None.
+        tab: name of the front tab, one of `TABS`.
         further: names of further devices of a kind, which have plots of their own.
     """
     import rerun.blueprint as rrb

@@ -44,7 +44,7 @@ class RerunStream:
         targets: any of `spawn`, `connect`, `serve`, a `rerun+http://` URL, or the name of a `.rrd`
             file; several at once are fed the same.
         scene: robot and surface.
-        tab: which of the blueprint's tabs is in front.
+        tab: name of the blueprint's front tab.
     """
 
     def __init__(self, targets: tuple[str, ...], scene: Scene, *, tab: str = "Motion") -> None:

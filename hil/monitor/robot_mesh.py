@@ -81,7 +81,7 @@ def wheel_mesh(radius_m: float) -> Mesh:
     Its sides have light and dark sectors, so that one sees it turn.
 
     Args:
-        radius_m: of the wheel.
+        radius_m: radius of the wheel.
     """
     ring = radius_m * np.column_stack([np.cos(_ROUND), np.zeros(_SIDES + 1), np.sin(_ROUND)])
     half = np.array([0.0, 0.5 * WHEEL_WIDTH_M, 0.0])

@@ -53,7 +53,7 @@ class PipedFile:
     """One file that is written through a pipe.
 
     Args:
-        path: of the file; a file of that name is replaced.
+        path: path of the file; a file of that name is replaced.
 
     Attributes:
         entrance: path by which the pipe's writing end can be opened, until `opened` is called.
@@ -78,7 +78,7 @@ class PipedFile:
         """Wait until everything that Rerun sent is in the file.
 
         Args:
-            patience_s: how long Rerun may take to close the pipe.
+            patience_s: longest time for Rerun to close the pipe.
         """
         self._thread.join(patience_s)
 

@@ -29,7 +29,7 @@ class Mounted:
     """A device on the robot.
 
     Attributes:
-        name: on the bench.
+        name: name of the device on the bench.
         position_m, rotation_wxyz: its frame in the body.
     """
 
@@ -43,9 +43,9 @@ class Scene:
     """A robot and the surface that it stands on.
 
     Attributes:
-        geometry: of the wheels, nominal or calibrated.
+        geometry: geometry of the wheels, nominal or calibrated.
         robot: masses, outline, fan and propellers.
-        environment: how steep the surface is.
+        environment: surface and its tilt.
         looks: mesh given by the user.
         x_range_m, y_range_m: usable surface in the wall frame; None where it has no bounds.
         mounted: devices that have a place on the robot.
@@ -66,8 +66,8 @@ class Scene:
         """The scene of a bench.
 
         Args:
-            config: of the bench.
-            geometry: of its wheels as it uses them.
+            config: configuration of the bench.
+            geometry: geometry of its wheels as it uses them.
             recorded: the configuration comes from a recording: a mesh that is no longer there is left out.
 
         Raises:

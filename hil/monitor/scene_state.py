@@ -37,14 +37,14 @@ class Moment:
     """The robot at one time; None where nothing is known yet.
 
     Attributes:
-        t_s, cycle: when.
+        t_s, cycle: time and number of the cycle.
         pose: (3,) estimated, wall frame.
-        covariance: (6, 6) of it.
+        covariance: (6, 6) covariance of the estimate.
         steering_rad, wheel_angle_rad: (4,) measured.
         truth, reference: (3,) poses in the wall frame.
         slip_m_s: (4, 2) along and across each wheel.
         load_n: (4,) normal loads.
-        forces: on the robot, beside its weight and its wheels.
+        forces: forces on the robot, beside its weight and its wheels.
     """
 
     t_s: float
@@ -88,7 +88,7 @@ class Moments:
         """The robot at a cycle that has been noted.
 
         Args:
-            record: of the cycle; its pose is known.
+            record: record of the cycle; its pose is known.
             t_s: its time in the view.
         """
         pose = record.state.pose_body_in_wall

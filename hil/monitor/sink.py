@@ -76,7 +76,7 @@ class RerunMonitor(Sink):
         lossless: drop nothing, `write` waits instead (a recording is shown).
         scene: robot and surface to draw; those of the paper when None.
         capacity: cycles that may wait before the oldest is dropped or `write` waits.
-        patience_s: how long the viewer may take for the rest when all is over and, where nothing is dropped,
+        patience_s: longest time of the viewer for the rest when all is over and, where nothing is dropped,
             for some of what waits; 4 s, 60 s where nothing is dropped.
 
     Attributes:

@@ -54,7 +54,7 @@ def wheel_turns(steering_rad: Array, wheel_angle_rad: Array, geometry: WheelGeom
     Args:
         steering_rad: measured, (4,).
         wheel_angle_rad: (4,) positive drives ahead.
-        geometry: of the wheels.
+        geometry: geometry of the wheels.
     """
     turned = [quat_from_rotvec([0.0, a, 0.0]).tolist() for a in np.remainder(wheel_angle_rad, 2.0 * math.pi)]
     steered = hub_turns(steering_rad, geometry)
@@ -80,7 +80,7 @@ def slip_of_motion(
         twist_body: (3,) true body twist.
         rate_rad_s: (4,) wheel rates.
         steering_rad: (4,) measured.
-        geometry: of the wheels.
+        geometry: geometry of the wheels.
     """
     velocity = (geometry.projection() @ twist_body).reshape(4, 2)
     heading = steering_rad - geometry.steering_zero_rad
@@ -110,7 +110,7 @@ def ellipse_in_body(covariance: Array, heading_rad: float) -> Array:
 
     Args:
         covariance: (n, n), its first two rows and columns are position in wall axes, m^2.
-        heading_rad: of the body.
+        heading_rad: heading of the body.
     """
     flat = covariance_ellipse(np.zeros(2), covariance) @ rotation2(heading_rad)
     return np.column_stack([flat, np.full(len(flat), _ELLIPSE_HEIGHT_M)])
@@ -138,7 +138,7 @@ def overview(low_m: Array, high_m: Array, tilt_rad: float) -> Eye:
     Args:
         low_m: (2,) lower corner of the part, wall frame.
         high_m: (2,) upper corner.
-        tilt_rad: of the surface.
+        tilt_rad: tilt of the surface.
     """
     rotation = wall_rotation(tilt_rad)
     target = np.array([*((low_m + high_m) / 2.0), 0.0])

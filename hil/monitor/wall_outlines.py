@@ -54,7 +54,7 @@ def wheel_segments(pose: Array, steering_rad: Array, geometry: WheelGeometry) ->
     Args:
         pose: (x m, y m, theta rad) in the wall frame, (3,).
         steering_rad: (4,).
-        geometry: of the wheels.
+        geometry: geometry of the wheels.
     """
     heading = steering_rad - geometry.steering_zero_rad
     along = np.column_stack([np.cos(heading), np.sin(heading)]) * geometry.radius_m[:, None]
@@ -72,7 +72,7 @@ def speed_arrows(
         pose: (x m, y m, theta rad) in the wall frame, (3,).
         steering_rad: (4,).
         rate_rad_s: (4,) wheel rates.
-        geometry: of the wheels.
+        geometry: geometry of the wheels.
     """
     heading = steering_rad - geometry.steering_zero_rad
     speed = rate_rad_s * geometry.radius_m * _SPEED_ARROW_S

@@ -38,7 +38,7 @@ def transforms(stamp: Stamp, frames: Sequence[tuple[tuple[str, str], Sequence[fl
     """`tf2_msgs/TFMessage`.
 
     Args:
-        stamp: of all transforms.
+        stamp: stamp of all transforms.
         frames: names (parent, child) and (7,): position in m, quaternion with w last.
     """
     data = _ENCODING + _LENGTH.pack(len(frames))
@@ -52,7 +52,7 @@ def stamped(stamp: Stamp, texts: tuple[str, ...], values: Sequence[float]) -> by
     """A message that is a `std_msgs/Header`, perhaps further texts, and float64 values.
 
     Args:
-        stamp: of the header.
+        stamp: stamp of the header.
         texts: the header's frame, then the others.
         values: all numbers that follow, in their order.
     """
@@ -64,8 +64,8 @@ def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Iterable[Sequence
     """`sensor_msgs/JointState` without a frame.
 
     Args:
-        stamp: of the header.
-        names: of the joints.
+        stamp: stamp of the header.
+        names: names of the joints.
         columns: positions, velocities and efforts, (n,) or (0,) each.
     """
     data = _ENCODING + _STAMP.pack(*stamp) + _names(names)

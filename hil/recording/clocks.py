@@ -31,7 +31,7 @@ class PtpOffset(NamedTuple):
     Attributes:
         device: name of the clock (`ptp0`).
         offset_ns: added to a time of the bench clock it gives that of the hardware clock.
-        uncertainty_ns: how far `offset_ns` may be off.
+        uncertainty_ns: largest error of `offset_ns`.
         measured_ns: time of the measurement, bench clock.
     """
 
@@ -46,7 +46,7 @@ class Shift(NamedTuple):
 
     Attributes:
         shift_ns: added to a time of the second recording it gives that of the first.
-        uncertainty_ns: of the readings; the two clocks themselves may disagree by more.
+        uncertainty_ns: uncertainty of the readings; the two clocks themselves may disagree by more.
         by: `wall clock`, or the names of the PTP clocks.
     """
 
@@ -62,8 +62,8 @@ def ptp_offsets(
 
     Args:
         now_ns: the bench clock.
-        folder: where the kernel has them as `ptp0`, `ptp1`, ...
-        read: gives the time of an open hardware clock by its file descriptor.
+        folder: folder in which the kernel has them as `ptp0`, `ptp1`, ...
+        read: function from the file descriptor of an open hardware clock to its time.
     """
     found = []
     for path in sorted(folder.glob("ptp[0-9]*")):

@@ -46,9 +46,9 @@ class RecordingReader:
         path: the MCAP file.
 
     Attributes:
-        header: that the writer was given.
+        header: header that the writer was given.
         packages: name and version of the packages that add devices, by `KIND` or `KIND.MODEL`.
-        problems: what could not be read so far; complete once the iteration has ended.
+        problems: parts that could not be read so far; complete once the iteration has ended.
 
     Raises:
         DataError: not an MCAP file, not one of ours, or of another format.

@@ -104,7 +104,7 @@ def messages_of(path: Path, wanted: Callable[[Any], bool], problems: list[str]) 
 
     Args:
         path: an MCAP file.
-        wanted: whether messages of a channel are.
+        wanted: function from a channel to True if its messages are wanted.
         problems: receives a message for each part that cannot be read.
 
     Raises:

@@ -40,7 +40,7 @@ class McapRecorder(Sink):
         header: configuration, calibration, seed, versions; kept as JSON.
         lossless: write in the caller's thread and drop nothing (virtual time); otherwise a thread
             writes and a full queue drops the newest record.
-        on_failure: whether the loop has to `stop`, or may `go-on` unrecorded, once a cycle is lost.
+        on_failure: reaction of the loop to a lost cycle: `stop`, or `go-on` unrecorded.
         capacity: records that may wait.
 
     Attributes:
@@ -110,7 +110,7 @@ class McapRecorder(Sink):
 
         Args:
             t_ns: bench time.
-            kind: what it is (`run`, `mark`).
+            kind: kind of the note (`run`, `mark`).
             data: JSON values; floats come back exactly.
         """
         self._put(("note", (t_ns, json.dumps({"kind": kind, "data": data}, default=str))))

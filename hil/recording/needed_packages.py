@@ -36,7 +36,7 @@ def added_kinds(packages: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
     """The kinds of other packages whose samples a recording holds.
 
     Args:
-        packages: what `needed_packages` gave when it was made.
+        packages: packages that `needed_packages` gave when it was made.
 
     Raises:
         ConfigError: a package is not installed; it names all that are missing.

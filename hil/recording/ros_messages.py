@@ -69,8 +69,8 @@ class CycleMessages:
     """ROS 2 messages of the cycles of a recording.
 
     Args:
-        kinds: of the devices whose samples are wanted.
-        frames: of the recording; follows its cycles.
+        kinds: kinds of the devices whose samples are wanted.
+        frames: frame tree of the recording; follows its cycles.
         wall_ns: wall-clock time at the bench clock's zero; the messages' own stamps are wall-clock time.
     """
 

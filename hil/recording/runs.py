@@ -33,7 +33,8 @@ class RunStart:
         feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
         controller: control law, None when nothing was commanded.
         observers: estimators that ran beside it.
-        trajectory: how to build the reference again (free mapping of the caller), None without one.
+        trajectory: description from which the reference is built again (free mapping of the caller), None
+            without one.
     """
 
     state: RobotState

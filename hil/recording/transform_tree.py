@@ -72,11 +72,11 @@ class FrameTree:
     """Frames of one recording.
 
     Args:
-        header: of the recording.
+        header: header of the recording.
 
     Attributes:
         fixed: frames that never move.
-        camera_start: where the camera began, in this run; None until that is known.
+        camera_start: pose at which the camera began, in this run; None until that is known.
     """
 
     def __init__(self, header: Mapping[str, Any]) -> None:

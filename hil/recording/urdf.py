@@ -30,7 +30,7 @@ def urdf(header: Mapping[str, Any]) -> str:
     """URDF of the robot that a header describes: calibrated wheels, alignment, mounts.
 
     Args:
-        header: of a recording, or of a bench, with its `geometry`.
+        header: header of a recording, or of a bench, with its `geometry`.
     """
     config = header.get("config", {})
     robot = RobotConfig.model_validate(config.get("robot", {}))

@@ -28,8 +28,8 @@ class Limit:
 
     Attributes:
         value: largest difference that agrees.
-        unit: of `value`: `m`, `rad`, `rad/s`, ... or what `value` is a share of.
-        least: for a share of the value's own size: smaller sizes count as this one.
+        unit: unit of `value`: `m`, `rad`, `rad/s`, ... or the quantity that `value` is a share of.
+        least: least size of a value, for a limit that is a share of it: smaller sizes count as this one.
     """
 
     value: float
@@ -51,7 +51,7 @@ LIMITS: Mapping[str, Limit] = {
     "wheel_rate_rad_s": Limit(1e-4, "rad/s"),
     "steering_rad": Limit(1e-3, "rad"),
 }
-"""By quantity. Steering has the widest: near standstill its angle is that of a vector of almost no length."""
+"""Limits by quantity. Steering's is widest: near standstill its vector has almost no length."""
 
 _OF_FIELD: Mapping[str, tuple[str, ...]] = {
     "measurements": ("measurements",),
@@ -78,7 +78,8 @@ class Agreement:
     """Largest differences between recorded and decided cycles, by quantity.
 
     Attributes:
-        largest: by name in `LIMITS`, in the unit given there; only quantities of which there was a number.
+        largest: largest difference by name in `LIMITS`, in the unit given there; only quantities of which
+            there was a number.
         flip: the first difference of the latest cycle in something other than a number: a flag, a count, an
             event. None without one.
     """
@@ -157,7 +158,7 @@ def difference(a: float, b: float, limit: Limit) -> float:
     Args:
         a: recorded.
         b: computed again.
-        limit: of their quantity.
+        limit: limit of their quantity.
 
     Returns:
         0 for equal numbers and for two NaN; infinite where one of them is not finite, and for whole numbers

@@ -125,12 +125,12 @@ def compare_run(
     Without gyro and camera the filters are those of `fitting`.
 
     Args:
-        run: from its first cycle.
-        bench: of its making; makes the filters and says what the smoother needs.
+        run: run to compare, from its first cycle.
+        bench: bench that made it; makes the filters and gives the smoother's settings.
         kinds: any of `COMPARED`.
         own: estimators of the user's own by name.
-        source: what to name where the run cannot be used.
-        recorded: whether the recording has estimates of its own; a foreign one has not.
+        source: name of the recording, for errors.
+        recorded: True if the recording has estimates of its own; a foreign one has none.
 
     Raises:
         ConfigError: a user's estimator has raised an exception.

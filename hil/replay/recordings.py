@@ -47,11 +47,11 @@ class OpenedRecording:
     """A recording, and the bench that made it, as far as configuration describes it.
 
     Attributes:
-        foreign: not one of ours: wheels and ground truth, nothing estimated.
-        problems: what could not be read; complete after `runs` was read.
+        foreign: True for one of other origin: wheels and ground truth, nothing estimated.
+        problems: parts that could not be read; complete after `runs` was read.
         robot: nominal robot whose wheels a foreign recording is read for.
-        tables: what was read of a foreign one; complete after `runs` was read.
-        named: whether the user has said which bench a foreign recording is of.
+        tables: recordings read from a foreign one; complete after `runs` was read.
+        named: True if the user has named the bench of a foreign recording.
         failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
     """
 

@@ -89,10 +89,10 @@ def verify_cycle(
     """Let a pipeline decide on one recorded cycle, the next of its run, and compare.
 
     Args:
-        cycle: as recorded.
+        cycle: cycle as recorded.
         pipeline: rebuilt for the run.
-        agreement: takes the differences.
-        exact: whether every bit must be equal.
+        agreement: largest differences so far, to which those of this cycle are added.
+        exact: True if every bit must be equal.
 
     Returns:
         Verdict, and the first difference in words where that is `differs`.
@@ -115,7 +115,7 @@ def verify_cycle(
 
 
 def _compare_stop(record: CycleRecord, stop: str, *, exact: bool) -> tuple[str, str]:
-    """As `verify_cycle`, of a cycle in which the pipeline stops the robot."""
+    """Verdict and first difference of a cycle in which the pipeline stops the robot."""
     said = [event.message for event in record.events]
     if said == [stop]:
         return IDENTICAL, ""
@@ -157,10 +157,10 @@ class RunCheck:
     """Checks cycle by cycle whether a run repeats, without keeping cycles in memory.
 
     Args:
-        bench: that made it.
-        start: how it began, None if the recording does not contain it.
-        exact: whether every bit must be equal, as with the arithmetic of the recording.
-        number: of the run in its recording.
+        bench: bench that made it.
+        start: begin of the run, None if the recording does not contain it.
+        exact: True if every bit must be equal, as with the arithmetic of the recording.
+        number: number of the run in its recording.
 
     Attributes:
         result: `run` (its number), `cycles`, `verdict`, `verified` (field names), `references` (`computed`,
