@@ -195,7 +195,7 @@ def drive(bench: Bench, case: str, p: Parameters, *, may_stop: bool) -> Driven:
         bench: bench to drive.
         case: name of the line.
         p: length and times.
-        may_stop: whether a failed check of sensor data ends only the line and not the run: true if not all
+        may_stop: True if a failed check of sensor data ends only the line and not the run: true if not all
             parts are known, as such a line is not judged.
     """
     start = enable_hold(bench)

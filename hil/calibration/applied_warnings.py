@@ -21,7 +21,7 @@ class InSample:
     Attributes:
         names: recordings that it was fitted to, recognised by the digest of a file or by their wheels.
         among: number of given recordings.
-        known: whether the calibration records what it was fitted to.
+        known: True if the calibration records what it was fitted to.
     """
 
     names: tuple[str, ...]

@@ -196,8 +196,8 @@ def calibrate(
         method: `lm`, `interior-point`, `ga` or `pso`.
         seed: seed of the stochastic methods.
         nominal: nominal robot: start, prior mean, and basis of the errors before; the CAD model by default.
-        choice: how setting and nominal were chosen, where this was done before.
-        validate: whether to run the cross-validations. Where the setting leaves the forward model open, they
+        choice: choice of setting and nominal, where this was done before.
+        validate: True to run the cross-validations. Where the setting leaves the forward model open, they
             decide it by recordings left out of the fit; without them the fit's own residuals decide.
         unusable: recordings that could not be read, with the reason by name; the result lists them as well.
         report: progress callback (what, done, total).

@@ -49,7 +49,7 @@ def left_out(
     Args:
         recordings: the runs, in the order of `blocks`.
         blocks: the same runs, reduced.
-        setting: how to fit.
+        setting: setting of the fit.
         nominal: prior mean.
         start: see `fitting.fit`.
         groups: one label per recording; each label in turn is left out.

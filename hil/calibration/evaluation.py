@@ -59,7 +59,7 @@ class Steps:
         edges_s: (k + 1,) edges of the steps, s.
         wheel_rad: (k, 8) wheel vectors of each step, rad.
         start: (3,) pose at the first edge.
-        by_the_paper: whether to integrate by forward Euler.
+        by_the_paper: True to integrate by forward Euler.
     """
 
     t_s: Array

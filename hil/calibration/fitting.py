@@ -66,7 +66,7 @@ def fit(
 
     Args:
         blocks: reduced recordings.
-        setting: what to fit, and how.
+        setting: parameters to fit, and their weights.
         nominal: start, prior mean and centre of the box.
         method: `lm`, `interior-point`, `ga` or `pso`.
         seed: seed of the stochastic methods.

@@ -100,7 +100,7 @@ def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...
     """Candidate models: exact; dry friction and creep with nominal and equal loads; creep also by tyre ratio.
 
     Args:
-        setting: how to fit; its forward model is replaced.
+        setting: setting of the fit; its forward model is replaced.
         nominal: nominal geometry with loads by statics and tyre ratio.
     """
     creep = replace(setting, model="creep", choose_model=False)
@@ -136,7 +136,7 @@ def choose(
     """Fit every candidate without one group of recordings at a time, and judge it on the group left out.
 
     Args:
-        recordings: at least two repetitions.
+        recordings: recordings with at least two repetitions.
         among: candidates.
         groups: label of each recording; those of one label are left out together. By repetition where it is
             empty or has only one label.
@@ -197,7 +197,7 @@ def apart_m(found: Fit, rivals: Sequence[Fit], nominal: WheelGeometry) -> dict[s
         nominal: geometry that the wheels are commanded with.
 
     Returns:
-        For each motion of one metre, the largest distance from the chosen model's end point, m.
+        Largest distance from the chosen model's end point, m, for each motion of one metre.
     """
     by_nominal = nominal.projection() / np.repeat(nominal.radius_m, 2)[:, None]
     ends = {}

@@ -25,7 +25,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 
 Terms: TypeAlias = tuple[Array, Array, Array]
-"""Per recording: cost (R,), J'e (R, m) and J'J (R, m, m)."""
+"""Cost (R,), J'e (R, m) and J'J (R, m, m), per recording."""
 _EFFECTIVE_OBSERVATIONS = 3.0
 _CAUCHY = 2.0 * 1.2
 _REACH = 10.0
@@ -82,7 +82,7 @@ class Setting:
     Attributes:
         name: `paper`, `recommended` or `custom`.
         model, signal: forward model and wheel signal.
-        offsets: whether the four steering zeros are free.
+        offsets: True if the four steering zeros are free.
         sigma: residual scale (m, m, rad); None for the paper's plain sum.
         prior_length, prior_radius: relative standard deviations; prior_offset_rad absolute.
         bounds: relative half width of a hard box (for a steering zero in radians, since an angle of 0.05 rad
@@ -232,7 +232,7 @@ class Problem:
         return np.asarray(self.blocks.mask[..., None] * self._scale[:, None], dtype=np.float64)
 
     def normal_terms(self, z: Array) -> Terms:
-        """Per recording and unweighted: cost (R,), J'e (R, m) and J'J (R, m, m), without the prior."""
+        """Cost (R,), J'e (R, m) and J'J (R, m, m), per recording and unweighted, without the prior."""
         known = self._known.terms(z)
         if known is None:
             errors, slopes = self._residuals(z, with_slopes=True)

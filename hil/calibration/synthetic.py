@@ -307,7 +307,7 @@ def make_set(
         seed: seed of everything that differs between recordings.
         motions: names of the motions.
         repetitions: number of repetitions per motion.
-        run_to_run: as for `simulate`.
+        run_to_run: scale of the differences from run to run, as for `simulate`.
         slip_share: share of recordings with slip bursts.
         corrupted: name of the one recording that is simulated with faults.
     """

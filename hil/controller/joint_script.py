@@ -28,7 +28,7 @@ class Stretch:
         duration_s: duration.
         rate_rad_s: (4,) wheel rates.
         steering_rad: (4,) steering angles at its end; None to keep the angles before.
-        ramp: whether the steering angles change linearly over the duration; else in a step.
+        ramp: True if the steering angles change linearly over the duration; else in a step.
     """
 
     duration_s: float
@@ -41,7 +41,7 @@ class JointScript:
     """Consecutive stretches; afterwards the wheels are at rest.
 
     Args:
-        stretches: at least one.
+        stretches: stretches of the script, at least one.
         pose: (3,) pose at the start, used as the reference at all times.
         steering_rad: (4,) steering angles at the start.
 
@@ -121,8 +121,8 @@ class ScriptedController(Controller):
         """Wheel setpoint of the script at the reference's time.
 
         Args:
-            state: not used.
-            reference: only its time is used.
-            wheels: not used.
+            state: estimate; not used.
+            reference: reference; only its time is used.
+            wheels: measurement; not used.
         """
         return self._script.setpoint(reference.t_s)

@@ -34,7 +34,7 @@ class ModuleLayer:
         dt_s: period of the loop, s.
 
     Attributes:
-        following: whether the wheels were commanded the latest twist in full: not held, limited or slowed.
+        following: True if the wheels were commanded the latest twist in full: not held, limited or slowed.
     """
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:

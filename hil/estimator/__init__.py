@@ -19,7 +19,7 @@ def make_estimator(
         config: `[estimator]` of the bench file.
         geometry: calibrated wheel parameters.
         surface: `wall` (gravity lies in the motion plane) or `floor`.
-        diagnostics: whether the filter's states contain diagnostics; those of an observer are not read.
+        diagnostics: True if the filter's states contain diagnostics; those of an observer are not read.
 
     Raises:
         ConfigError: an unknown surface, or two free scales.

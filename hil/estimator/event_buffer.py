@@ -109,7 +109,7 @@ def enter(marks: Ints, ring: Samples, span_ns: int, now_ns: int, number: int, ne
     Args:
         marks: (4,) first slot, number of events, refused as late, refused as duplicates; changed in place.
         ring: the samples in the ring, changed in place.
-        span_ns: how far back a sample may lie.
+        span_ns: largest age of a sample.
         now_ns: time of the cycle.
         number: number of new samples.
         new: the new samples, in any order.
@@ -143,7 +143,7 @@ class History:
     """Ring of events with a checkpoint (state, covariance, memory) after each.
 
     Args:
-        span_ns: how far back a sample may lie.
+        span_ns: largest age of a sample.
         capacity: largest number of events kept, whatever their rate.
 
     Attributes:

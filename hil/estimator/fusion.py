@@ -134,7 +134,7 @@ class FusionEstimator(Estimator):
     Args:
         config, geometry, surface: see `hil.estimator.make_estimator`.
         engine: runs the events.
-        diagnostics: whether states contain diagnostics.
+        diagnostics: True if states contain diagnostics.
     """
 
     def __init__(

@@ -224,7 +224,7 @@ def tune(
         names: dotted names of `tunable`, in the order in which they are tried.
         evaluations: budget: largest number of times that all runs are estimated.
         report: called with (what, done, total).
-        every: whether a name on which no score depends is refused; else it is left out.
+        every: True to refuse a name on which no score depends; else it is left out.
 
     Raises:
         UsageError: a name that cannot be tuned, or a run without truth.

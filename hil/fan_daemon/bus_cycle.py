@@ -75,8 +75,8 @@ class BusCycle:
         bus: opened already; opened in the first cycle when None, and again whenever it is lost.
 
     Attributes:
-        bus_error: what is wrong with the bus; empty for nothing.
-        sent_ns: when the latest command was sent.
+        bus_error: error of the bus, in words; empty for nothing.
+        sent_ns: time at which the latest command was sent.
         worst_gap_ns: the longest time between two commands since the fan is commanded.
         commands: commands sent.
     """

@@ -157,7 +157,7 @@ class DaemonLaunch:
 
     Args:
         spec: the fan.
-        emulated: whether its bus is known to be emulated: the daemon then ends with the emulator, or does not
+        emulated: True if its bus is known to be emulated: the daemon then ends with the emulator, or does not
             begin. Its own check would be too late if the emulator ended while the daemon starts.
     """
 
@@ -230,11 +230,11 @@ class Connection:
     """A non-blocking connection.
 
     Args:
-        connection: to the daemon.
+        connection: connection to the daemon.
         t_ns: now.
 
     Attributes:
-        since_ns: when it began; `answered_ns` when the daemon last answered.
+        since_ns: time at which it began; `answered_ns`: time of the daemon's last answer.
         asked: the pending request; None for none.
         uid: the user that the daemon runs as.
     """

@@ -58,12 +58,12 @@ class FanControl:
 
     Args:
         spec: the fan; limits and ramps.
-        adopts: whether a fan that runs already at the start is taken over.
+        adopts: True to take over a fan that runs already at the start.
 
     Attributes:
         sent: the latest set-point for the bus; None while the fan is not commanded.
         target: the set-point at the end of the ramp.
-        ending: whether the fan is on its way to rest.
+        ending: True while the fan is on its way to rest.
         report: the fan's reports, by quantity; `report_ns` when it last reported its speed.
         others: ids of other controllers on the bus.
         trim: correction of a duty while the battery sags.
@@ -89,7 +89,7 @@ class FanControl:
         """Take a status report of a controller.
 
         Args:
-            t_ns: when.
+            t_ns: time of the report.
             controller_id: the controller that sent it.
             values: figures by name; a report with `erpm` shows that it is present.
             running: the set-point that keeps it as it runs; None at rest.

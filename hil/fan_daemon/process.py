@@ -89,9 +89,9 @@ class Process:
 
     Args:
         spec: the fan.
-        log: takes a line for each event.
+        log: function that takes a line for each event.
         stay: go on waiting while the fan is not commanded or its bus is not there yet, as a service does.
-        emulation: of the bus, by another process: the daemon ends with it.
+        emulation: emulation of the bus by another process: the daemon ends with it.
     """
 
     def __init__(self, spec: Spec, log: Log, *, stay: bool, emulation: Emulation) -> None:

@@ -24,7 +24,7 @@ class DecodedFrame(NamedTuple):
     """The content of a frame: how a controller runs, or a set-point that some program sent to it.
 
     Attributes:
-        controller_id: of the controller.
+        controller_id: id of the controller.
         report: figures by name; `erpm` is in every report of its speed. Empty in an order.
         running: the set-point that would keep it as it runs; None at rest, and where that is unknown.
         order: a set-point that another program has sent to our fan.

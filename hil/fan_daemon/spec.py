@@ -13,7 +13,7 @@ from hil.support.emulated_can_mark import bus_name
 
 _HIGHEST = {"duty": 0.95, "current_a": 60.0, "erpm": 150_000.0}
 _PERIODS = 10
-"""At least so many commands fit into the controller's timeout."""
+"""Least number of commands within the controller's timeout."""
 _LONGEST_PERIOD_S = 0.1
 _WHOSE = {"adhesion": "the fan's", "thrust": "the propellers'"}
 
@@ -23,15 +23,16 @@ class Spec:
     """One fan, or propellers that get the same command, and how they are commanded.
 
     Attributes:
-        interface, channel, bitrate, options: of python-can; two programs must be able to share the channel.
-        controller_id: of the motor controller.
+        interface, channel, bitrate, options: bus in the terms of python-can; two programs must be able to
+            share the channel.
+        controller_id: id of the motor controller.
         also: ids of further controllers that are given every command of the first.
         device: name of the device in messages.
-        protocol: of the controller: `vesc` or `dronecan`.
+        protocol: protocol of the controller: `vesc` or `dronecan`.
         details: further figures that the protocol needs.
         period_s: time between two commands.
         timeout_s: time without a command after which the controller releases the motor, as set in it.
-        ramp_up_s, ramp_down_s: from rest to the highest set-point, and back.
+        ramp_up_s, ramp_down_s: time from rest to the highest set-point, and back.
         highest: the highest set-point for each quantity.
     """
 
@@ -106,7 +107,7 @@ class Spec:
         return _WHOSE.get(self.device, f"{self.device}'s")
 
     def to_json(self) -> str:
-        """As JSON, for the command line of the process."""
+        """The specification as JSON, for the command line of the process."""
         return json.dumps(asdict(self))
 
     @classmethod

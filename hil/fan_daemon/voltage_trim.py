@@ -25,7 +25,7 @@ class VoltageTrim:
 
     Attributes:
         lift: factor on the duty, at least 1.
-        sag: what is missing although the set-point is the highest, as a text; empty for nothing.
+        sag: shortfall in spite of the highest set-point, in words; empty for none.
     """
 
     def __init__(self) -> None:

@@ -38,7 +38,7 @@ class OpenedBench:
         recorder: its recorder; None without `--hil-keep`.
         failed: sentence on the first failure while it was open.
         title: title of its page: the test that failed, else the test that opened it.
-        reported: whether its properties are already in a report.
+        reported: True if its properties are already in a report.
         told: number of its events that are already in a report.
     """
 
@@ -141,7 +141,7 @@ def _add(
 
 
 def _end_in_order(config: pytest.Config) -> None:
-    """For this session, let SIGTERM and SIGHUP end it as Ctrl-C does: benches are closed, robots looked at.
+    """Let SIGTERM and SIGHUP end this session as Ctrl-C does: benches are closed, robots looked at.
 
     Later ones are ignored. A signal that somebody handles or ignores already is left alone.
     """
@@ -173,11 +173,11 @@ def end_session(config: pytest.Config, *, interrupted: bool) -> list[str]:
     """Finish the recordings of benches that no test has closed.
 
     Args:
-        config: of the session.
-        interrupted: whether the session was ended from outside: such recordings are kept.
+        config: configuration of the session.
+        interrupted: True if the session was ended from outside: such recordings are kept.
 
     Returns:
-        How the benches of an interrupted session were left, and what was kept of them; else nothing.
+        Sentences on how the benches of an interrupted session were left, and on what was kept; else nothing.
     """
     lines = []
     for one in config.stash.get(_OPENED, []):

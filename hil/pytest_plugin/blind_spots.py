@@ -42,7 +42,7 @@ class Breakage:
         name: name in tables and on the command line.
         faults: fault specs.
         overrides: keys of the bench file -> values.
-        matters: whether a robot on a wall may come to harm if the suite does not notice it.
+        matters: True if a robot on a wall may come to harm if the suite does not notice it.
     """
 
     name: str

@@ -25,7 +25,7 @@ def end(item: pytest.Item, bench: Bench, *, passed: bool) -> None:
     Args:
         item: the test.
         bench: its bench.
-        passed: whether the test itself has passed.
+        passed: True if the test itself has passed.
 
     Raises:
         pytest.fail.Exception: the robot lost its hold and must not, or a test passed without its faults.

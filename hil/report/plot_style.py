@@ -68,7 +68,7 @@ def plain_log(axes: Axes, linear_below: float | None = None) -> None:
 
     Args:
         axes: axes with all data.
-        linear_below: if given, the axis is linear up to this value; fully linear if no data exceed it.
+        linear_below: value up to which the axis is linear, if given; fully linear if no data exceed it.
     """
     from matplotlib.ticker import LogLocator, NullFormatter, SymmetricalLogLocator
 

@@ -74,7 +74,7 @@ def write_replay_page(
         numbers: `hil.replay.estimator_comparison.table` of the motions.
         warnings: texts above the figures, about data that could not be read or are implausible.
         facts: texts about the available sensors.
-        on_wall: whether x points up.
+        on_wall: True if x points up.
         said: sentence below the heading; if empty, a sentence about the errors.
 
     Raises:

@@ -30,7 +30,7 @@ class Believed(NamedTuple):
     Attributes:
         force_n: the force, N; NaN without a measurement.
         by: the measurement that gives it; empty without one.
-        confirmed: whether two sensors have measured the force: the load cells and the motor's controller.
+        confirmed: True if two sensors have measured the force: the load cells and the motor's controller.
         against: forces of the measurements that contradict it, N, by name.
     """
 

@@ -30,7 +30,7 @@ class MotionLimits:
     """Limits that a trajectory must respect at every time.
 
     Attributes:
-        wheel_speed_m_s, wheel_acceleration_m_s2: per wheel.
+        wheel_speed_m_s, wheel_acceleration_m_s2: largest speed and acceleration of each wheel.
         heading_limit_rad: largest heading on a wall, either side; None on the floor.
         x_range_m, y_range_m: usable part of the wall; None for no bound.
     """
@@ -77,7 +77,7 @@ def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, a
     Args:
         trajectory: requested trajectory.
         projection: P (8, 3) of the wheels.
-        limits: only the wheel limits are used.
+        limits: limits, of which only those of the wheels are used.
         at_most: largest factor on the duration; beyond it the trajectory is unchanged and `check` refuses it.
     """
     longer = _times_as_long(trajectory, projection, limits)

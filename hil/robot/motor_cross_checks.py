@@ -180,7 +180,7 @@ def cross_check(ratings: MotorRatings, now: Reading, *, steady: bool = True) -> 
     Args:
         ratings: numbers of the bench file.
         now: the report.
-        steady: whether the speed has been the same for a second: only then the power counts.
+        steady: True if the speed has been the same for a second: only then the power counts.
     """
     beyond = impossible(ratings, now)
     if beyond is not None:

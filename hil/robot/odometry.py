@@ -93,7 +93,7 @@ def chord_slopes(heading: Array, step: tuple[Array, Array, Array]) -> tuple[Arra
     derivatives times d, plus the displacement rotated by a quarter turn to the left times t.
 
     Args:
-        heading: at the start of the step, rad.
+        heading: heading at the start of the step, rad.
         step: body displacement in the frame of the step's start, m, m, rad.
     """
     dx, dy, half = step[0], step[1], 0.5 * step[2]

@@ -248,7 +248,7 @@ def circle(
         start: first pose, (3,) m, m, rad.
         radius_m: radius of the circle.
         turns: number of turns; negative is clockwise.
-        tangent: whether the heading turns with the path.
+        tangent: True if the heading turns with the path.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
         law: `quintic` or `constant`.

@@ -31,7 +31,7 @@ class Needs:
 
     Attributes:
         statics: robot and surface.
-        on_wall: whether the robot can fall.
+        on_wall: True if the robot can fall.
         thrust_n, wanted_n: set-points of propellers and fan, N.
         needed_n, limit_n: force that holds the robot, without and with the reserve, N.
         reserve: reserve of `[safety]`.

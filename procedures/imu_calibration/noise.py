@@ -20,7 +20,7 @@ class Allan:
 
     Attributes:
         tau_s: averaging times, (n,).
-        deviation: in the unit of the rate, (n,).
+        deviation: Allan deviation in the unit of the rate, (n,).
         spread: relative standard deviation of each, (n,).
     """
 

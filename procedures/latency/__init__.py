@@ -76,8 +76,7 @@ class Signal:
         t_s, path: time and path, for a figure.
         delay: delay behind the command, by its stamps.
         age_s: median age on arrival, by its stamps.
-        stamp: how much later its stamps are than the reference; for the two references, their assumed
-            accuracy.
+        stamp: delay of its stamps behind the reference; for the two references, their assumed accuracy.
     """
 
     t_s: Array

@@ -185,8 +185,8 @@ class Foreseen:
     """Position RMSE (n,), m, of the newest round's recordings, by fits without them.
 
     Attributes:
-        without_round: by the fit of all earlier rounds.
-        without_repetition: by fits of all recordings except one repetition of this round.
+        without_round: errors by the fit of all earlier rounds.
+        without_repetition: errors by fits of all recordings except one repetition of this round.
     """
 
     without_round: Array

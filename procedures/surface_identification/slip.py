@@ -115,7 +115,7 @@ def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, N
 
     Args:
         every: downhill, leftward (m/m) and turning (rad/m) of each repetition, (n, 3) by direction.
-        systematic: as for `rate`.
+        systematic: systematic error as a share of the mean, as for `rate`.
     """
     rows = {name: np.asarray(found, dtype=np.float64) for name, found in every.items()}
     n = min(len(found) for found in rows.values())

@@ -63,7 +63,7 @@ class Extrinsics:
         rotation_wxyz: camera (robot axes) in the body.
         angles_rad, angles_uncertainty_rad: (3,) roll, pitch, yaw of the correction to the configured mount.
         scale, scale_uncertainty: the camera's distance over the true distance.
-        late_s, late_uncertainty_s: by how much the camera's stamps are later than the truth.
+        late_s, late_uncertainty_s: delay of the camera's stamps behind the truth, and its uncertainty.
         position_rms_m, angle_rms_rad: RMS residuals, per interval and axis.
         outliers: share of intervals beyond four sigma.
         covariance: (7, 7) of x, y, roll, pitch, yaw, scale, lateness: m, m, rad, rad, rad, 1, s.

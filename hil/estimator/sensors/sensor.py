@@ -38,7 +38,7 @@ class Tally(Record):
             S that the filter expected of it. For a consistent filter its mean is the number of rows.
         nis_mean: running mean of `nis` per row; 1 is ideal.
         in_row: number of consecutive rejected samples.
-        reanchored: how often the sensor was let in again after too many consecutive rejections.
+        reanchored: number of times that the sensor was let in again after too many consecutive rejections.
     """
 
     accepted: float
@@ -167,7 +167,7 @@ class Sensor(Protocol):
         """Raise the state's variance after `limit` consecutive rejected samples; no sensor stays locked out.
 
         Returns:
-            Whether the sensor's own frame must start again at this sample.
+            True if the sensor's own frame must start again at this sample.
         """
 
     def new_frame(self, t_ns: float, x: Array, p: Array, m: Any, row: Any, par: Any) -> None:

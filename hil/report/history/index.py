@@ -47,7 +47,7 @@ class Kept:
 
     Attributes:
         folder: folder of the entry.
-        name: that folder relative to the folder of results; shown to the user.
+        name: path of that folder, relative to the folder of results; shown to the user.
         kind: `run`, `campaign`, `commissioning`, `acceptance`, `faults`, `unfinished`, `foreign`.
         what: name of the procedure; title of a page.
         when: start time; if unknown, time of the last change.
@@ -57,7 +57,7 @@ class Kept:
         why: problem or contents of the entry; empty for a run.
         result: validated `result.json` of a run.
         within: name of the campaign or commissioning that contains it; empty for none.
-        of_campaign: whether `within` is a campaign.
+        of_campaign: True if `within` is a campaign.
     """
 
     folder: Path

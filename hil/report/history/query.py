@@ -33,7 +33,7 @@ def chosen(
         verdict: verdict, case-insensitive; empty for any.
         since: exclude results older than this.
         words: search words, case-insensitive; the text of a result must contain all of them.
-        within: whether to include single runs of a campaign or a commissioning.
+        within: True to include single runs of a campaign or a commissioning.
     """
     return [
         kept
@@ -70,7 +70,7 @@ def named(found: Sequence[Kept], name: str, *, whole: bool = False) -> Kept:
         found: all results, the latest first.
         name: name in `hil results list`, or the folder; unless `whole`, also a unique part of the name, or
             `last` for the latest result of `hil`, finished if there is one.
-        whole: whether the full name is required.
+        whole: True to require the full name.
 
     Raises:
         UsageError: no result or several results match.

@@ -51,7 +51,7 @@ class Series:
         low, high: limits of the last run; None for none.
         stretches: points between two changes of the calibration, each with its chart, in order; none if no
             run has a value.
-        missing: how many of the newest runs have no value, including runs that ended early.
+        missing: number of the newest runs that have no value, including runs that ended early.
     """
 
     name: str
