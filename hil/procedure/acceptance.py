@@ -88,7 +88,7 @@ class Acceptance:
         operator: answers questions.
         report: progress.
         interrupts: signals.
-        watch_s: how long the doctor reads each device.
+        watch_s: time for which the doctor reads each device.
     """
 
     source: BenchSource

@@ -22,7 +22,7 @@ def write_fragment(ctx: Context, values: Mapping[str, Mapping[str, Any]], why: s
     Args:
         ctx: context of the run.
         values: section -> key -> value, as in `bench.toml`.
-        why: what the values are, for the first line of the file.
+        why: description of the values, for the first line of the file.
     """
     path = ctx.folder / NAME
     config, seed = ctx.source.config, ctx.source.seed

@@ -107,7 +107,7 @@ class Context:
             workers: processes that run them.
 
         Yields:
-            What each job returned, in the order of the jobs.
+            The result of each job, in the order of the jobs.
 
         Raises:
             HilError: the error that ended one of the jobs early.
@@ -169,7 +169,7 @@ class Context:
         Args:
             figure: figure, or a function that draws it; the function is called only if figures are kept.
             title: unique in the run.
-            caption: what to see in it.
+            caption: description of what it shows.
 
         Raises:
             UsageError: not a figure, or another figure has this title.
@@ -240,8 +240,9 @@ class Context:
 
         Args:
             title: unique within the run.
-            function: does the work; its measurements, files and figures are kept with its result.
-            timeout_s: as for `step`.
+            function: function that does the work; its measurements, files and figures are kept with its
+                result.
+            timeout_s: longest time of the step, as for `step`.
 
         Returns:
             The function's result as JSON gives it back (tuples become lists).

@@ -41,7 +41,7 @@ class HoldRecord:
 
     Attributes:
         opened: number of benches.
-        events: what the benches have seen, as `hil.core.event_rows` has it.
+        events: events that the benches have seen, as rows of `hil.core.event_rows`.
     """
 
     def __init__(
@@ -100,8 +100,8 @@ class HoldRecord:
         Args:
             name: name of the bench.
             held: its final report on the hold; counts only where its servos were opened.
-            events: what it has seen.
-            tethered: whether the robot was on a tether.
+            events: events that it has seen.
+            tethered: True if the robot was on a tether.
         """
         own = [row | {"bench": name} for row in events]
         self.events += own

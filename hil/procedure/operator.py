@@ -103,7 +103,7 @@ def go_ahead(operator: Operator, question: str) -> str:
 
     Args:
         operator: answers the question.
-        question: what to do, and to press Enter then.
+        question: instruction to the operator, and to press Enter then.
 
     Raises:
         Aborted: the answer is no or missing, or an answer from a file is neither yes nor no.

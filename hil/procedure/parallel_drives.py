@@ -45,7 +45,7 @@ class Sent(Generic[Result]):
     Attributes:
         job: the drive job.
         recording: file to write; None for none.
-        on_failure: whether a full disk stops the run.
+        on_failure: reaction to a full disk: `stop`, or `go-on`.
     """
 
     job: DriveJob[Result]
@@ -58,15 +58,15 @@ class Driven:
     """Outcome of a drive job.
 
     Attributes:
-        result: what `drive` returned; None after an error.
+        result: result of `drive`; None after an error.
         error: error that ended the drive early.
         driven_s: duration on the bench's clock, s.
         pressed: same as `pressed` of the bench.
         held: final report of the bench on the hold of the robot.
-        tethered: whether the robot was on a tether.
+        tethered: True if the robot was on a tether.
         world_ns, looked_ns, failed: same as `world_ns`, `looked_ns` and `lost` of the bench.
         hold, path, fit: histories for the figures and the last table of every report.
-        events: what the bench has seen, as `hil.core.event_rows` has it.
+        events: events that the bench has seen, as rows of `hil.core.event_rows`.
         lost: why the recording is missing or incomplete; empty if it is complete or was not wanted.
         objection: recording error with which the run has to end; None for none.
     """

@@ -83,9 +83,9 @@ def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, H
     """Write the parts of a run to files in its folder and, if the run passed, to the record of its bench.
 
     Returns:
-        For `result.json`: folder, version, names of the new parts, and of the parts that were removed because
-        they depend on replaced parts; None without a record or new parts. And the error, if the record cannot
-        be written: its current version then stays.
+        Entry of `result.json`: folder, version, names of the new parts, and of the parts that were removed
+        because they depend on replaced parts; None without a record or new parts. And the error, if the
+        record cannot be written: its current version then stays.
     """
     config, learned = ctx.source.config, ctx.findings.learned
     ended = verdict in (*PASSED, Verdict.FAIL)

@@ -33,7 +33,7 @@ class Failure:
         message: text of the error.
         step: step in which, or after which, it occurred.
         exit_code: exit code for this error.
-        finished: whether the step was finished: the run ended between this step and the next.
+        finished: True if the step was finished: the run ended between this step and the next.
         frames: call chain through the user's code, as `hil.core.call_chain.as_json` returns it.
     """
 
@@ -122,7 +122,7 @@ def judge(
         earlier: earlier values by name; a row without earlier values has no such key.
         measured_in: step of each measurement.
         doubts: why a measurement is in doubt or missing, by name; a row without a doubt has no such key.
-        ended: whether the procedure reached its end; if so, a measurement that was never set fails.
+        ended: True if the procedure reached its end; if so, a measurement that was never set fails.
     """
     rows = []
     for m in declared:

@@ -37,7 +37,7 @@ class Recordings:
         on_failure: see the attribute.
 
     Attributes:
-        on_failure: whether a full disk stops the run.
+        on_failure: reaction to a full disk: `stop`, or `go-on`.
     """
 
     def __init__(self, results: RunOutputs, interrupts: Interrupts, on_failure: OnFailure) -> None:
@@ -118,7 +118,7 @@ class RunBenches:
         source: describes the bench, to open it again (`reopen`) or in another process.
         past: the interrupted run that this run resumes; None for a new run.
         opened: the bench if it is open.
-        left_behind: whether a finished checkpoint left the emulated robot at another place.
+        left_behind: True if a finished checkpoint left the emulated robot at another place.
         guard: ends a loop that exceeds its time limit or after a signal.
         left: final hold reports of the closed benches.
         world_ns: time of the emulated world when its bench was closed, ns; the latest of several worlds.
@@ -146,7 +146,7 @@ class RunBenches:
 
     @property
     def bench(self) -> Bench:
-        """As `Context.bench`; raises `ConfigError`."""
+        """Open bench, as of `Context.bench`; raises `ConfigError`."""
         if self.left_behind:
             raise ConfigError(
                 "the emulated robot is no longer where the run that was cut off had left it",
@@ -156,7 +156,7 @@ class RunBenches:
         return self.opened if self.opened is not None else self.reopen(self.source)
 
     def reopen(self, source: BenchSource, label: str = "", prompt: str = "") -> Bench:
-        """As `Context.reopen`; `source` is that of the run with the changes."""
+        """New bench, as of `Context.reopen`; `source` is that of the run with the changes."""
         again, self.left_behind = self.opened is not None, False
         self.close()
         if source.real and (again or prompt):
@@ -214,7 +214,7 @@ class RunBenches:
         self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
 
     def at_once(self, jobs: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
-        """As `Context.at_once`."""
+        """Drive benches in worker processes, as `Context.at_once` does."""
         sent: list[Sent[Result]] = []
         for job in jobs:
             taken = [s.recording for s in sent]

@@ -79,7 +79,7 @@ class Journal:
 
     Args:
         path: the file; created if it does not exist.
-        on_failure: whether the run has to `stop` or may `go-on` if an entry cannot be written.
+        on_failure: reaction to an entry that cannot be written: `stop`, or `go-on`.
 
     Attributes:
         failure: why writing failed before the end of the run; empty if it did not.
@@ -144,7 +144,7 @@ class PastRun:
         checkpoints: entries made inside each finished checkpoint, by title; its value comes last.
         recordings: files written so far.
         held: final hold report of each bench, with its checkpoint.
-        resumed: how often the run was resumed before.
+        resumed: number of times that the run was resumed before.
     """
 
     header: Entry

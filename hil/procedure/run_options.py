@@ -26,8 +26,8 @@ class RunOptions:
         operator: answers prompts.
         report: receives progress (what, done, total).
         resume: continue from the journal in `folder`.
-        on_recording_failure: whether the run has to `stop` or may `go-on` if recordings or journal can no
-            longer be written.
+        on_recording_failure: reaction to recordings or a journal that can no longer be written: `stop`, or
+            `go-on`.
         interrupts: signal handling, which the caller also uses before and after the run.
         keep: `results` leaves out recordings and figures.
     """

@@ -91,7 +91,7 @@ class RunOutputs:
         return entry
 
     def measure(self, name: str, value: float | bool, doubt: str = "") -> None:
-        """As `Context.measure`; raises `UsageError`."""
+        """Store a measurement, as `Context.measure` does; raises `UsageError`."""
         if name not in self._by_name:
             raise UsageError(
                 f"measurement {name!r} is not declared", expected="one of " + ", ".join(self._by_name)
@@ -137,7 +137,7 @@ class RunOutputs:
 
     @contextmanager
     def replacing(self) -> Iterator[None]:
-        """In the block, a table or figure replaces one of its title, and no note is added twice.
+        """Let a table or figure of this block replace one of its title, and add no note twice.
 
         At an early end, an evaluation that was interrupted is done again.
         """
@@ -150,7 +150,7 @@ class RunOutputs:
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
     ) -> None:
-        """As `Context.table`; raises `UsageError`."""
+        """Add a table, as `Context.table` does; raises `UsageError`."""
         place = self._place("table", title, self.findings.tables)
         cells = [[_cell(v) for v in row] for row in rows]
         for number, row in enumerate(cells, start=1):
@@ -164,7 +164,7 @@ class RunOutputs:
         self.findings.tables[place : place + 1] = [entry]
 
     def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
-        """As `Context.figure`; raises `UsageError`."""
+        """Save a figure, as `Context.figure` does; raises `UsageError`."""
         if self.keep == "results":
             place = self._place("figure", title, self._undrawn)
             self._undrawn[place : place + 1] = [{"title": title}]
@@ -208,7 +208,7 @@ class RunOutputs:
         self.findings.figures[place : place + 1] = [entry]
 
     def attach(self, name: str, path: Path) -> Path:
-        """As `Context.attach`."""
+        """Attach a file, as `Context.attach` does."""
         inside = path if path.is_relative_to(self.folder) else self._place_of(path)
         if inside != path:
             inside.parent.mkdir(parents=True, exist_ok=True)
@@ -227,7 +227,7 @@ class RunOutputs:
         return inside
 
     def leave_data(self, name: str, value: Any) -> None:
-        """As `Context.leave_data`; raises `UsageError`."""
+        """Keep data, as `Context.leave_data` does; raises `UsageError`."""
         found = as_json(f"data {name!r}", value, default=_plain)
         self.journal.add("data", {"name": name, "value": found})
         self.findings.data[name] = found

@@ -43,7 +43,7 @@ class StepTimer(Sink):
 
         Args:
             clock: clock of the bench.
-            virtual: whether its time advances only while a caller waits.
+            virtual: True if its time advances only while a caller waits.
         """
         self._clock, self._virtual, self._since_ns = clock, virtual, clock.now_ns()
         self._set_alarm()
@@ -147,7 +147,7 @@ class RunRecorder(McapRecorder):
         header: JSON values.
         interrupts: signals, deferred while a note is written and the file is closed.
         lossless: drop no records, for virtual time.
-        on_failure: whether a full disk stops the run.
+        on_failure: reaction to a full disk: `stop`, or `go-on`.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class RunRecorder(McapRecorder):
 
         Args:
             t_ns: bench time, ns.
-            kind: what the note is about.
+            kind: subject of the note.
             data: JSON values.
         """
         with self._interrupts.deferred():

@@ -39,8 +39,8 @@ class Interrupts:
 
     Args:
         tell: called with a line for the operator.
-        patience_s: how long a step may continue after the first SIGINT, s of the computer's clock; None for
-            no limit.
+        patience_s: time for which a step may continue after the first SIGINT, s of the computer's clock; None
+            for no limit.
     """
 
     def __init__(
@@ -61,11 +61,11 @@ class Interrupts:
         return self._sigints > 0 or self._stop is not None
 
     def finish_here(self, where: str = "between two steps", remedy: str = "") -> None:
-        """At a boundary between steps: raise `Aborted` if a stop was requested.
+        """Raise `Aborted` at a boundary between steps if a stop was requested.
 
         Args:
             where: the boundary, as text.
-            remedy: what the user can do then.
+            remedy: action that the user can take then.
         """
         if self.asked_to_finish:
             raise Aborted(f"ended by {_BY[self._stop or 'SIGINT']} {where}", remedy=remedy)

@@ -117,7 +117,7 @@ def must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> None
     """Raise `DataError` unless most cycles (n,) have data, and some of the last tenth of them.
 
     Args:
-        known: which cycles have data.
+        known: (n,) True for each cycle that has data.
         has: name of the data, for the message.
         of: name of the interval, for the message.
     """

@@ -67,7 +67,7 @@ class DeferredSignals:
 
     @contextmanager
     def delivered(self) -> Iterator[None]:
-        """In this block a signal, including a deferred one, is handled at once."""
+        """Handle every signal within this block at once, also one that was deferred."""
         self._at_once = True
         try:
             if self._put_off:

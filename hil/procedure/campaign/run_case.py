@@ -74,7 +74,7 @@ class Setup:
     """Settings that all cases share, as text from the command line.
 
     Attributes:
-        controller, ros2_domain: as for `hil run`.
+        controller, ros2_domain: options of `hil run`.
         keep: `all` files of a run, or `results` without recordings and figures.
         places: text that names a file -> path of the file on the worker; any other text is
             itself the path.

@@ -46,7 +46,7 @@ class Commission:
     Attributes:
         source: the wall bench. If it names no record, a record is created in `folder`.
         folder: results folder.
-        clock: for durations.
+        clock: clock for durations.
         now: date and time, ISO 8601.
         quick: run the short form of every procedure.
         resume: resume an interrupted commissioning.

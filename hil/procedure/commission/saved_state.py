@@ -23,8 +23,8 @@ class State:
     Attributes:
         folder: folder of the commissioning.
         options: bench, seed, form and others; a resumed commissioning must have the same.
-        done: by procedure: `verdict`, `folder` (relative), and `why` it was left out or repeated.
-        rests_on: by passed procedure: its dependencies (`reruns.dependencies_of`).
+        done: outcome by procedure: `verdict`, `folder` (relative), and `why` it was left out or repeated.
+        rests_on: dependencies of each passed procedure (`reruns.dependencies_of`).
     """
 
     folder: Path

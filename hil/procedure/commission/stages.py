@@ -36,7 +36,7 @@ class Stage:
 
     Attributes:
         name: name of the procedure.
-        place: where the robot stands.
+        place: place of the robot.
         weight: approximate computing time of the quick form, s; to estimate the time left.
         full: parameters that differ in the long form.
     """

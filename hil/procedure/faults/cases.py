@@ -158,7 +158,7 @@ def random_cells(
 
     Args:
         supported: kinds of faults and their options, by device.
-        count: how many runs.
+        count: number of runs.
         seeds: seeds of the worlds, used in turn; the first also seeds the random choice.
         plants: physics models, used in turn.
     """

@@ -47,7 +47,7 @@ class Measured:
         crept_m: motion from then on.
         off_m: error of the estimate, if the run reached its end.
         astray_m: largest distance from the reference during the drive.
-        fell: whether the robot fell.
+        fell: True if the robot fell.
     """
 
     moved_m: float = 0.0
@@ -66,11 +66,11 @@ class CellVerdict:
         cell: the cell.
         why: reasons for failure; empty for a cell that passes.
         ended: `went on`, or the reason of the stop.
-        reported: whether stop or events name the faulty device; of several, all of them.
+        reported: True if stop or events name the faulty device; of several, all of them.
         held: final report of the bench on how the robot is held.
         others: kinds of devices that were named as suspects without a faulty one among them.
         measured: measured values.
-        opened: whether the bench opened.
+        opened: True if the bench opened.
         told: events of warning and above, a line each.
     """
 

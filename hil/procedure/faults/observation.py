@@ -56,7 +56,7 @@ class Figures:
     Attributes:
         said_m: distance that the bench reports; NaN where it reports none.
         true_m: true distance.
-        marked: whether the bench marks its figure, because a sensor was left out.
+        marked: True if the bench marks its figure, because a sensor was left out.
     """
 
     said_m: float
@@ -70,9 +70,9 @@ class Seen:
 
     Attributes:
         cycles: number of cycles.
-        on_wall: whether gravity truly pulls along the surface.
+        on_wall: True if gravity truly pulls along the surface.
         events: events of the drive, and of what ended it.
-        stop: what ended the drive; None if it reached its end.
+        stop: error that ended the drive; None if it reached its end.
         error: error of opening or closing; None for none.
         foreign: an exception that is not from this project.
         unreadable: why the recording cannot be read.
@@ -84,7 +84,7 @@ class Seen:
         stopped_s, looked_s: time of the stop command, and of the final report.
         moved_m: true motion between these times; if the bench did not open, from the start position.
         crept_m: largest distance from there in the seconds after the bench has closed.
-        fallen: whether the true robot fell at any time.
+        fallen: True if the true robot fell at any time.
         adhesion_n, thrust_n: least true holding forces at any time, N.
         held_adhesion_n: true force of the fan at the final report, N.
         left_adhesion_n: true force of the fan at the end of the observation, N.

@@ -22,7 +22,7 @@ _OF_ANY: Mapping[str, tuple[str, ...]] = {
     "slow": (DEFAULT, "factor=2", "factor=50"),
     "delayed": (DEFAULT, "delay_s=0.03", "delay_s=0.5"),
 }
-"""By kind of fault."""
+"""Strengths by kind of fault."""
 _OF_SENSORS: Mapping[str, tuple[str, ...]] = dict.fromkeys(
     ("drop", "corrupt", "truncate"), ("probability=0.9", "probability=0.2", "probability=0.02")
 )
@@ -73,7 +73,7 @@ _OF_DEVICE: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "jump": (DEFAULT, "force_n=1", "force_n=-10", "force_n=100"),
     },
 }
-"""By device and kind of fault, in place of those of any device."""
+"""Strengths by device and kind of fault, in place of those of any device."""
 
 
 def strengths_of(device: str, fault: str, options: Sequence[str]) -> tuple[str, ...]:

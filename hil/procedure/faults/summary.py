@@ -64,7 +64,7 @@ def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planne
     """Return all data of the page.
 
     Args:
-        verdicts: in the order of the pages.
+        verdicts: verdicts in the order of the pages.
         bench: name or file of the bench.
         command: command that repeats the campaign.
         planned: number of cells of the campaign; with fewer verdicts it was ended early.
