@@ -91,8 +91,8 @@ class BenchRequest:
         bench: file or profile; empty where none was named and the command has no default.
         emulate: devices to emulate, `all`, or None for what the file says.
         settings: texts `KEY=VALUE`.
-        seed: of the emulated world.
-        start_pose: where the robot stands, as text.
+        seed: seed of the emulated world.
+        start_pose: start pose of the robot, as text.
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
         calibration: file to apply.
@@ -163,7 +163,7 @@ def bench_options(*names: str, **otherwise: Mapping[str, Any]) -> Callable[[Call
 
     Args:
         names: fields of `BenchRequest`.
-        otherwise: by name, help or default of an option that differ for this command.
+        otherwise: help or default of options that differ for this command, by name.
     """
 
     def decorate(function: Callable[..., int]) -> Any:

@@ -33,7 +33,7 @@ class Words(click.types.StringParamType):
 
     Args:
         find: returns the possible words, given the context and the incomplete word.
-        files: whether the value may also be the name of a file.
+        files: True if the value may also be the name of a file.
     """
 
     def __init__(self, find: Find, *, files: bool = False) -> None:

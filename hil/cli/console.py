@@ -174,8 +174,8 @@ def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> di
     """The process with the STOP button: one left running by an earlier console, else a new one.
 
     Args:
-        folder: of the console.
-        port: of this computer; 0 for any.
+        folder: folder of the console.
+        port: TCP port of this computer; 0 for any.
         known: token and cookie of one that died: open browser pages already have them.
 
     Raises:

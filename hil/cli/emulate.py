@@ -39,8 +39,8 @@ class PortLinks:
 
     Args:
         config: the bench.
-        endpoints: of its emulated devices, by the name they are shown as.
-        of_hardware: whether to link names below `/dev`, the place of real ports, as well.
+        endpoints: endpoints of its emulated devices, by the name they are shown as.
+        of_hardware: True to link names below `/dev`, the place of real ports, as well.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ def _ended_by_signals(
 
     Args:
         stop: ends the server.
-        only_by_sigterm: whether to ignore SIGINT and SIGHUP: a terminal also sends them to the bench that
+        only_by_sigterm: True to ignore SIGINT and SIGHUP: a terminal also sends them to the bench that
             started this process and that has to hold its robot first.
     """
 

@@ -23,7 +23,8 @@ class EndpointsFile:
     It is locked (`flock`) while its emulator runs, so that a file that was left behind can be recognised.
 
     Args:
-        path: of the file; only an endpoints file that was left behind, or an empty one, may be there already.
+        path: path of the file; only an endpoints file that was left behind, or an empty one, may be there
+            already.
 
     As a context manager it removes the file at the end of the block.
 
@@ -107,8 +108,8 @@ def await_endpoints(path: Path, patience_s: float) -> str:
     """Wait until a running emulator has written an endpoints file; returns its content.
 
     Args:
-        path: of the file, as given to `--out`.
-        patience_s: how long to wait.
+        path: path of the file, as given to `--out`.
+        patience_s: longest wait, s.
 
     Raises:
         UsageError: no emulator can put it there, or something else is there.

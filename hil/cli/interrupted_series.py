@@ -18,7 +18,7 @@ def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> It
     """End the block early as `Aborted`, with a page of what is finished.
 
     Args:
-        finished: what there is to show, in words, as "3 of 20 runs are finished".
+        finished: function to the progress so far, in words, as "3 of 20 runs are finished".
         show: writes it; returns the page, or an empty text where nothing is finished.
 
     Raises:

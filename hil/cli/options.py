@@ -27,8 +27,8 @@ def results_folder(name: str, out: Path | None, resumed_by: str | None) -> Path:
     """Results folder: `out`, else a new folder below `out/NAME`, or the latest one there to resume.
 
     Args:
-        name: of what is run.
-        out: as given on the command line.
+        name: name of the procedure or series that is run.
+        out: folder as given on the command line.
         resumed_by: file that marks a run as resumable; None for a new run.
 
     Raises:

@@ -56,7 +56,7 @@ def print_user_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> No
     """Print on standard error the calls in the user's code that led to an error, if there are any.
 
     Args:
-        frames: as in `result.json`.
+        frames: frames of the calls, as in `result.json`.
         where: the step, in words.
     """
     from hil.core.call_chain import in_words

@@ -32,7 +32,7 @@ def reporting(quiet: bool = False, clock: Clock | None = None) -> Iterator[Repor
 
     Args:
         quiet: say nothing.
-        clock: for the time left, the host's by default.
+        clock: clock for the time left, the host's by default.
     """
     times = clock if clock is not None else MonotonicClock()
     if quiet:

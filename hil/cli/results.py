@@ -89,7 +89,7 @@ def list_results(where: Path, as_json: bool, **asked: Any) -> int:
 @_filters
 @JSON
 def search(words: tuple[str, ...], where: Path, as_json: bool, **asked: Any) -> int:
-    """As list, but only what holds all WORDS: names, errors, notes, faults, seed and parameters as KEY=VALUE.
+    """List only results with all WORDS: names, errors, notes, faults, seed and parameters as KEY=VALUE.
 
     Example: hil results search tracker "not held"
     """

@@ -24,9 +24,9 @@ def published(
     """Join ROS 2 for the duration of the block, if the command line asks for it.
 
     Args:
-        request: of the command line.
-        config: of the bench.
-        patient: whether to wait without a timeout for a program that drives.
+        request: request of the command line.
+        config: configuration of the bench.
+        patient: True to wait without a timeout for a program that drives.
 
     Returns:
         The publisher of benches; None without `--ros2` and without a controller on ROS 2.

@@ -144,8 +144,8 @@ class _Findings:
     """What is wrong with recordings.
 
     Attributes:
-        problems: of damaged ones, of which the readable part is used.
-        refused: of those from which nothing is fitted.
+        problems: problems of damaged ones, of which the readable part is used.
+        refused: reasons of those from which nothing is fitted.
         warnings: anything else.
     """
 

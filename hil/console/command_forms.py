@@ -15,15 +15,15 @@ class Field:
     """One field of a form.
 
     Attributes:
-        name: as on the command line: an option (`--seed`), an argument, or a parameter of a procedure.
+        name: name on the command line: an option (`--seed`), an argument, or a parameter of a procedure.
         title: name for people, without the unit.
         kind: type of input; `flag` is `true` or left out.
-        default: as text; shown only, because the command applies it.
+        default: default as text; shown only, because the command applies it.
         help: a sentence.
-        unit: for people.
-        low, high: of a number; `low_open` where `low` itself is not allowed.
+        unit: unit for people.
+        low, high: limits of a number; `low_open` where `low` itself is not allowed.
         choices: options of a choice; suggestions for a text.
-        more: whether it is collapsed at first.
+        more: True if it is collapsed at first.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Action:
         name: unique.
         group: heading that it stands below.
         summary: a sentence.
-        fields: of its form.
+        fields: fields of its form.
         words: makes the words of the command, after `hil`, from the filled-in values.
         problems: errors in the filled-in values by name of the field; an empty name means the whole form.
     """

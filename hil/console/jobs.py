@@ -56,9 +56,9 @@ class Job:
     """A job, identified by its folder.
 
     Attributes:
-        folder: of its files.
-        words: of the command, after `hil`.
-        title: for people.
+        folder: folder of its files.
+        words: words of the command, after `hil`.
+        title: title for people.
         started: seconds since the epoch.
     """
 
@@ -78,8 +78,8 @@ def start(root: Path, words: Sequence[str], title: str) -> Job:
 
     Args:
         root: folder of all jobs; made where it is missing.
-        words: of the command, with its `--json`.
-        title: for people.
+        words: words of the command, with its `--json`.
+        title: title for people.
 
     Raises:
         OSError: the folder cannot be written, or no process started.
@@ -181,9 +181,9 @@ def answer(job: Job, question_id: int, text: str) -> str:
     """Answer the current question of a job, once: a second answer is never used for the next question.
 
     Args:
-        job: with the question.
-        question_id: of the question, as `state` gives it.
-        text: of the answer; becomes one line, shorter than `PIPE_BUF` in bytes of UTF-8.
+        job: job with the question.
+        question_id: identifier of the question, as `state` gives it.
+        text: text of the answer; becomes one line, shorter than `PIPE_BUF` in bytes of UTF-8.
 
     Returns:
         Why the answer was rejected, in words; empty if it was accepted.

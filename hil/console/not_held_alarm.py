@@ -25,7 +25,7 @@ class Alarm:
     """Alarm of one console: the robots that are not known to be held.
 
     Args:
-        folder: of the console.
+        folder: folder of the console.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -34,7 +34,7 @@ class Alarm:
         self._ended: dict[Job, dict[str, Any]] = {}
 
     def not_held(self) -> list[dict[str, str]]:
-        """For each bench with a robot NOT HELD: the job that left it so, and the message."""
+        """Job and message of each bench whose robot it left NOT HELD."""
         secured = self._secured()
         left: dict[tuple[str, ...], dict[str, str]] = {}
         looked: set[tuple[str, ...]] = set()

@@ -62,9 +62,9 @@ class PageProcess:
     """Routes of the page.
 
     Args:
-        folder: of the console.
+        folder: folder of the console.
         results: folder of results.
-        actions: what can be started.
+        actions: commands and procedures that can be started.
         benches: names to choose from.
         bench: default of the forms; None for the default of each command.
     """

@@ -54,7 +54,7 @@ def end_without_page(folder: Path) -> bool:
     """End the process with the button if the page has died and no job runs; returns whether it has ended.
 
     Args:
-        folder: of the console.
+        folder: folder of the console.
     """
     button = read(folder / STOP)
     if not runs(button) or runs(read(folder / PAGE)) or any(map(jobs.alive, jobs.jobs(folder / "jobs"))):
@@ -70,7 +70,7 @@ class StopProcess:
     """Routes of the page with the button; decides when its server ends.
 
     Args:
-        folder: of the console.
+        folder: folder of the console.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -62,10 +62,10 @@ class Server(ThreadingHTTPServer):
     """Serves routes by method and path; a route whose path ends with `/` takes all below it.
 
     Args:
-        port: of this computer; 0 for any that is free.
+        port: TCP port of this computer; 0 for any that is free.
         token: without which nothing is served.
         cookie: name under which browsers keep the token.
-        routes: by `(method, path)`.
+        routes: functions that answer requests, by `(method, path)`.
         policy: content security policy of every reply that has none of its own.
 
     Raises:

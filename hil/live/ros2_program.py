@@ -35,7 +35,7 @@ class PublisherWatch:
     """Warns once of each publisher that is missing, silent or gone.
 
     Args:
-        topic: from which the commands come.
+        topic: topic from which the commands come.
 
     Attributes:
         lost: publishers that are gone.
@@ -81,8 +81,8 @@ class TwistCommands(CommandLines):
     """Velocity commands of the only publisher of a topic.
 
     Args:
-        topic: may carry messages of either velocity type.
-        watch: of the publishers of the topic.
+        topic: topic of the commands; may carry messages of either velocity type.
+        watch: watch of the publishers of the topic.
     """
 
     def __init__(self, topic: CommandTopic, watch: PublisherWatch) -> None:
@@ -122,7 +122,7 @@ class Ros2Program:
 
     Args:
         publisher: publishes the open bench.
-        name: of the controller, `ros2:TOPIC`.
+        name: name of the controller, `ros2:TOPIC`.
     """
 
     def __init__(self, publisher: Ros2Publisher, name: str) -> None:
@@ -162,7 +162,7 @@ class Ros2Program:
 
         Args:
             bench: open.
-            start: where the robot stands.
+            start: state and estimator with which the run begins.
             over: returns whether to stop waiting.
         """
 

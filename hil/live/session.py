@@ -102,7 +102,7 @@ class LivePlan:
         trajectory: makes the reference from the robot's pose; `commands`: velocity commands to follow
             instead. With neither the session only watches.
         program: ROS 2 program that drives, along the trajectory if there is one.
-        duration_s: when it ends; at the trajectory's end, or never, when None.
+        duration_s: time after which it ends; at the trajectory's end, or never, when None.
         feedback: estimator in the loop; `observers` run beside it.
         dead_man_s: age at which a velocity command counts as `stop`.
         known: path that is known to keep the bench's limits; its segments at the end of the trajectory are
@@ -124,8 +124,8 @@ class LiveSession:
 
     Args:
         bench: devices, clock, sinks; warmed up here.
-        plan: what to do.
-        recorder: for the summary; also a sink of the bench.
+        plan: plan of the session.
+        recorder: recorder for the summary; also a sink of the bench.
         monitor: shows the path to follow; also a sink of the bench.
         stop: signals as noted by the caller that opens and closes the bench; its own by default.
 
@@ -313,7 +313,7 @@ class LiveSession:
 
         Args:
             waited_ns: returns by how much the end is delayed.
-            reason: of an end after `length_s`.
+            reason: reason of an end after `length_s`.
             length_s: duration from the first cycle on; None for no end.
         """
 

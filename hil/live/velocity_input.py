@@ -99,7 +99,7 @@ class UdpLines(CommandLines):
 
     Args:
         port: UDP port on 127.0.0.1; 0 takes a free one.
-        token: what every datagram begins with.
+        token: text that every datagram begins with.
 
     Attributes:
         port: the port in use.

@@ -30,14 +30,14 @@ class VelocityReference:
         lines: source of the commands.
         start_pose: (3,) pose from which the reference moves.
         projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
-        limits: of wheel speed and acceleration, heading and usable surface.
+        limits: limits of wheel speed and acceleration, heading and usable surface.
         dead_man_s: a command older than this counts as `stop`, with the ramp of the acceleration limit.
         stops_after_s: bus watchdog of the servos: after a longer time without a cycle they stop the wheels,
             and the reference starts again from rest; 0 without a watchdog.
 
     Attributes:
         accepted, refused: numbers of valid and invalid lines.
-        dead_man_stops: how often a moving robot was stopped because no command arrived.
+        dead_man_stops: number of times that a moving robot was stopped because no command arrived.
     """
 
     def __init__(
