@@ -58,7 +58,7 @@ class Bench(HeldDevices):
 
     Attributes:
         model: everything derived from the configuration alone, without devices and clock.
-        config, geometry, seed, calibration: as in the model.
+        config, geometry, seed, calibration: parts of the model.
         clock: virtual or monotonic.
         rig: the devices.
         world: the emulated world if it runs in this process, else None.
@@ -70,12 +70,12 @@ class Bench(HeldDevices):
             opened or it was driven is NOT HELD, "not checked"; if its servos were not opened, `opened` is
             False.
         warnings: warnings logged about this bench before the robot moved.
-        warns_not_held: whether a warning is logged if the robot is left NOT HELD; False for programs that
+        warns_not_held: True if a warning is logged if the robot is left NOT HELD; False for programs that
             report this themselves.
-        waits_for_sensors: whether to wait for a lost sensor beyond its `fail_after_s`, in real time: for
+        waits_for_sensors: True to wait for a lost sensor beyond its `fail_after_s`, in real time: for
             programs that watch a resting robot. Set it before the bench is entered.
         own_controller: makes the controller of every trajectory from the model; None for the configured law.
-        undivided: as for `ControlLoop`.
+        undivided: maker of the context of each cycle, as for `ControlLoop`.
         driven_by: name of an external program that drives every trajectory, and the function that queries it;
             None without one.
         lost: errors of devices that ended a run of the bench, as texts.
@@ -190,7 +190,7 @@ class Bench(HeldDevices):
             trajectory: reference; refused before anything moves if it exceeds the limits.
             controller: `nonlinear` or `optimal`; the configured law when None.
             feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
-            hold_s: how long to continue control at the end, s.
+            hold_s: time for which control continues at the end, s.
             observers: one or several estimators that run in parallel.
             start_pose: pose of the robot, (3,); by default measured while settling; without motion capture
                 the pose at the end of the last drive.
@@ -289,8 +289,8 @@ class Bench(HeldDevices):
         Args:
             pipeline: the pipeline that computes the commands.
             start: the arguments of `pipeline`, and the initial state.
-            until: whether this record was the last.
-            drop_old: whether to discard samples that the devices have buffered.
+            until: function from a record to True if it is the last.
+            drop_old: True to discard samples that the devices have buffered.
 
         Raises:
             ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
@@ -411,7 +411,7 @@ def start_covariance(noise: MocapNoise, *, measured: bool) -> Array:
 
     Args:
         noise: noise of motion capture; if small, the pose is known better than `START_COVARIANCE`.
-        measured: whether motion capture measured the pose of the resting robot; else it was configured.
+        measured: True if motion capture measured the pose of the resting robot; else it was configured.
     """
     if not measured:
         return START_COVARIANCE

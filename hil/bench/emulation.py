@@ -160,7 +160,7 @@ def emulated(
         world: the emulated world.
         kind: the device's kind.
         name: name of its line or channel.
-        standard_ports: whether to serve it at the usual ports of such devices.
+        standard_ports: True to serve it at the usual ports of such devices.
 
     Raises:
         ConfigError: its model cannot be emulated, or `[emulation.KIND]` is wrong.
@@ -316,8 +316,8 @@ def open_emulation(
         seed: seed of the world.
         faults: specs or paths of TOML timelines, in addition to those of the configuration.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
-        await_start: whether world time stands still until a byte arrives on the lifeline.
-        standard_ports: whether to use Motive's ports for motion capture, and python-can's group and port for
+        await_start: True if world time stands still until a byte arrives on the lifeline.
+        standard_ports: True to use Motive's ports for motion capture, and python-can's group and port for
             CAN.
 
     Raises:

@@ -23,7 +23,7 @@ DEVICE = "adhesion"
 WATCH_S, STEP_NS = 2.0, nanoseconds(0.02)
 """Duration and period of reading a device outside any run."""
 _AS_NOW = 0.95
-"""From this share of the present force on, a set-point does not count as lowering it."""
+"""Share of the present force from which on a set-point does not count as lowering it."""
 _LEVEL_RAD = math.radians(15.0)
 _NO_FORCE = 0.2
 """Share of the force by the fan's speed; less at the load cells means that there is no suction."""

@@ -57,21 +57,21 @@ class OwnName(Device):
         self._driver, self._named, self.name = driver, functools.partial(named, kind, name), name
 
     def open(self) -> None:
-        """As of the driver."""
+        """Open the driver."""
         with self._named():
             self._driver.open()
 
     def close(self) -> None:
-        """As of the driver."""
+        """Close the driver."""
         self._driver.close()
 
     def identity(self) -> Mapping[str, str]:
-        """As of the driver."""
+        """Identity that the driver reports."""
         with self._named():
             return self._driver.identity()
 
     def read(self) -> Any:
-        """As of the driver."""
+        """Sample or samples of the driver."""
         driver: Any = self._driver
         with self._named():
             return driver.read()

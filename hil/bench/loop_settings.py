@@ -94,7 +94,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
     Args:
         config: the bench configuration.
         geometry: wheels in use.
-        follows: whether a reference is followed.
+        follows: True if a reference is followed.
         feedback: estimator in the loop.
     """
     servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
@@ -156,14 +156,14 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
 
 
 def _lost_after_s(config: BenchConfig) -> dict[str, float]:
-    """By sensor: silence (s) slightly longer than the limit at which its driver raises."""
+    """Silence (s), by sensor, slightly longer than the limit at which its driver raises."""
     limits = safety_limits(config).stale_s
     fails = fail_limits(config).items()
     return {name: fail_s + _LONGER_THAN_DRIVER_S for name, fail_s in fails if name in limits}
 
 
 def fail_limits(config: BenchConfig) -> dict[str, float]:
-    """By sensor: silence at which its driver raises, s; only sensors with such a limit."""
+    """Silence at which the driver of each sensor raises, s; only sensors with such a limit."""
     return {
         name: own.fail_after_s
         for name, own in config.devices().items()
@@ -278,7 +278,7 @@ def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | Non
     Args:
         config: the bench configuration.
         fitted_with: forward model of the calibration (`hil.robot.kinematics.MODELS`).
-        given: whether the file names a model; None to look whether it was set.
+        given: True if the file names a model; None to look whether it was set.
     """
     estimator = config.estimator
     wheels, wanted = estimator.wheels, wheel_model(fitted_with)

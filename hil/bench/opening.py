@@ -54,9 +54,9 @@ def open_bench(
         emulate: `all` or names of devices to emulate; overrides the file.
         seed: seed of the emulated world; in virtual time the same seed gives the same run, bit for bit on the
             same arithmetic (`hil info`).
-        realtime: whether a separate process serves the emulated devices in real time.
-        faults: for emulated devices: a spec (`imu:stuck@2+3`) or the path of a TOML timeline, or several;
-            added to those of the configuration.
+        realtime: True to serve the emulated devices in real time by a separate process.
+        faults: faults of emulated devices: a spec (`imu:stuck@2+3`) or the path of a TOML timeline, or
+            several; added to those of the configuration.
         overrides: dotted configuration key -> value.
         sinks: sinks that receive every cycle.
         calibration: `calibration.toml`; overrides the one of the configuration.

@@ -30,13 +30,13 @@ class Reopenable(Protocol):
     """A driver that can reconnect to its device.
 
     Attributes:
-        port_gone: whether the port itself has failed, so that waiting for the device is useless.
+        port_gone: True if the port itself has failed, so that waiting for the device is useless.
     """
 
     port_gone: bool
 
     def reopen(self) -> None:
-        """As `open`, but sequence numbers continue, and a restart of the device's counters is marked."""
+        """Open again: sequence numbers continue, and a restart of the device's counters is marked."""
 
 
 def reconnecting(
@@ -47,7 +47,7 @@ def reconnecting(
     Args:
         sensors: drivers by kind.
         clock: the bench clock.
-        fail_after_s: by kind, the silence that is an error, s; None to wait for every sensor.
+        fail_after_s: silence that is an error, s, by kind; None to wait for every sensor.
     """
     real_time = clock.wall_offset() is not None
     waits = fail_after_s is None
@@ -66,9 +66,9 @@ class Reconnecting(Sensor[S]):
     Args:
         driver: driver of the sensor; a `Reopenable`.
         clock: the bench clock, in real time.
-        patience_s: how long the sensor may be disconnected, s.
-        waits: whether to wait also after an error of the driver; else that error is raised, and only a lost
-            port is reopened.
+        patience_s: longest time without a connection, s.
+        waits: True to wait also after an error of the driver; else that error is raised, and only a lost port
+            is reopened.
     """
 
     def __init__(

@@ -320,7 +320,7 @@ def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
     """A function that gets the samples of a kind from inputs: a fast `Inputs.of` for use in every cycle.
 
     Raises:
-        UsageError: as in `Inputs.of`.
+        UsageError: `kind` is a field that is not a kind, such as `health`.
     """
     if kind in _KNOWN:
         return attrgetter(kind)

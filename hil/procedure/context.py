@@ -68,7 +68,7 @@ class Context:
         """The bench, opened on first use and recorded from then on.
 
         Raises:
-            ConfigError: after a resume, the emulated robot is not where a finished checkpoint left it.
+            ConfigError: the emulated robot is not where a finished checkpoint left it, after a resume.
         """
         return self.benches.bench
 
@@ -210,7 +210,7 @@ class Context:
         """Mark a step: noted in the journal, limited in time; a stop request may end the run before or after.
 
         Raises:
-            Aborted: at the beginning or end of the step, after SIGINT.
+            Aborted: SIGINT has come; raised at the beginning or end of the step.
             StepTimeoutError: more than `timeout_s` passed on the bench's clock. It ends a running loop (in
                 virtual time also any other wait on the clock); otherwise it is raised at the end of the step.
         """

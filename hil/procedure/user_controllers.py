@@ -37,7 +37,7 @@ def make_own(named: str, bench: BenchModel) -> Controller:
     """Make a controller: call NAME with the bench's model if it takes an argument, else without.
 
     Raises:
-        ConfigError: as `check_named`; or NAME fails, or its result lacks `reset` or `update`.
+        ConfigError: NAME is refused by `check_named` or fails, or its result lacks `reset` or `update`.
     """
     what = "reset(), and update(state, reference, wheels) that returns a WheelSetpoint"
     return cast("Controller", make_named(named, _OPTION, _PARTS, bench, expected=what))

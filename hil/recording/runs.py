@@ -114,7 +114,7 @@ def read_cycles_of_runs(
     """Every cycle of a recording with the number and the start of its run; see `read_runs`.
 
     Raises:
-        DataError: as `read_runs`.
+        DataError: the file is no recording of ours, see `RecordingReader`.
     """
     reader = RecordingReader(path)
     start: RunStart | None = None

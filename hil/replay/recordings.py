@@ -139,7 +139,7 @@ def open_recording(
 
     Raises:
         DataError: it cannot be read, or is a folder of recordings: they are opened one by one.
-        ConfigError: of bench or calibration, also where the calibration is another robot's.
+        ConfigError: bench or calibration is refused, also where the calibration is another robot's.
     """
     problems: list[str] = []
     if topics is None and path.is_dir() and not is_bag(path):

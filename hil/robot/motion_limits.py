@@ -54,7 +54,7 @@ def check(
         known: trajectory already checked against these limits; segments that both end with are skipped.
 
     Raises:
-        TrajectoryError: with the first time at which a limit is exceeded, and the value.
+        TrajectoryError: a limit is exceeded; names the first time at which it is, and the value.
     """
     if not trajectory.duration_s <= _LONGEST_S:
         raise TrajectoryError(

@@ -61,8 +61,8 @@ def make_named(named: str, option: str, parts: Parts, given: object, *, expected
         expected: description of its methods, for errors.
 
     Raises:
-        ConfigError: as `maker_of`; or it fails, or what it makes lacks a method, or has one that cannot be
-            called as it will be.
+        ConfigError: the name is refused by `maker_of`, or it fails, or what it makes lacks a method, or has
+            one that cannot be called as it will be.
     """
     make = maker_of(named, option, parts)
     _, _, name = named.rpartition(":")

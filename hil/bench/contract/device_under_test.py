@@ -28,7 +28,7 @@ class Broken(AssertionError):
     """A device breaks its contract.
 
     Args:
-        found, expected, remedy: in words.
+        found, expected, remedy: finding, expectation and remedy, in words.
     """
 
     def __init__(self, found: str, expected: str, remedy: str = "") -> None:
@@ -42,9 +42,9 @@ class Delivered:
 
     Attributes:
         samples: oldest first.
-        identity: as reported by the device.
+        identity: identity that the device reports.
         began_ns, ended_ns: bench time.
-        took_s: how long each read took.
+        took_s: duration of each read.
     """
 
     samples: list[Any]

@@ -19,8 +19,8 @@ def open_degraded(
     """Make a bench as `open_bench` does, and a failure for every device that had to be left out.
 
     Args:
-        config: as in `open_bench`.
-        emulate: as in `open_bench`.
+        config: bench, as for `open_bench`.
+        emulate: names of devices to emulate, as for `open_bench`.
         given: further arguments of `open_bench`.
     """
     left_out: list[Finding] = []

@@ -35,9 +35,9 @@ class Discovery:
 
     Attributes:
         sections: tables of a bench file, by the name of the device on the bench.
-        parts: by kind, components of the devices (each servo of a bus).
+        parts: components of the devices (each servo of a bus), by kind.
         notes: remarks for the user.
-        missing: by kind that did not answer, the places that were searched.
+        missing: searched places of each kind that did not answer.
         silent: ports that the user named, at which nothing answered.
         not_asked: ports to which nothing was written, and why.
     """
@@ -119,8 +119,8 @@ def discover(
         clock: clock for timeouts.
         ports: serial ports or pyserial URLs; all of this computer when None.
         left_alone: ports among them to which nothing is written, and why.
-        given: by kind, tables of devices to search that are not on a serial port (CAN buses to listen on,
-            capture servers); by default those that the system lists.
+        given: tables of devices to search that are not on a serial port (CAN buses to listen on, capture
+            servers), by kind; by default those that the system lists.
         say: receives progress.
         sysfs: folder in which the kernel describes its devices.
     """

@@ -168,7 +168,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
 
     Args:
         bench: result of `open_bench`, not entered; its devices are opened and closed here.
-        watch_s: how long each device is read, s.
+        watch_s: time for which each device is read, s.
         host: folders in which the kernel describes this machine.
 
     Raises:

@@ -44,7 +44,7 @@ def import_record(
         source: `part_NAME.toml`, `calibration.toml`, `bench_fragment.toml`, or the folder of a record.
         config: bench configuration of the robot that they belong to.
         now: date and time, ISO 8601.
-        of_this_robot: whether the user confirms the robot of a file that does not name its robot.
+        of_this_robot: True if the user confirms the robot of a file that does not name its robot.
 
     Returns:
         Names of the removed parts.

@@ -34,7 +34,7 @@ from hil.robot.believed_force import CELLS, UNCONFIRMED, Believed
 from hil.robot.motor_cross_checks import POWER, SPEED, VOLTAGE
 
 RUN_DOWN_S = 1.0
-"""By then a fan without current has lost more force than any reserve."""
+"""Time after which a fan without current has lost more force than any reserve."""
 _AHEAD_S = 6.0
 """A falling force holds the robot only if it will be sufficient for this time."""
 MEASURES = ("adhesion", "load_cells")
@@ -49,7 +49,7 @@ class MeasuredForces:
         limits: adhesion limits of the bench.
 
     Attributes:
-        fan: what the fan's controller reports.
+        fan: reports of the fan's controller.
     """
 
     def __init__(self, limits: AdhesionLimits) -> None:
@@ -82,15 +82,15 @@ class AdhesionForceCheck:
         limits: required forces; None where no device reports a force, or the robot cannot fall.
         fan: the fan's settings, if its controller stops the motor at a timeout.
         alone: check of propellers that report nothing.
-        carried: whether such propellers carry a robot that can fall.
+        carried: True if such propellers carry a robot that can fall.
         pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
         push_keys: keys of the bench file that scale the propellers' push.
         blind: devices that are in another world than the servos: they do not measure this robot.
 
     Attributes:
         heading_rad: last estimated heading of the body.
-        waits: whether only the check of propellers without commands is unfinished.
-        lacks: whether the measured force is too small, or falls.
+        waits: True if only the check of propellers without commands is unfinished.
+        lacks: True if the measured force is too small, or falls.
     """
 
     def __init__(
@@ -137,8 +137,8 @@ class AdhesionForceCheck:
 
         Args:
             now_ns: present time.
-            sees_slide: whether a trusted position sensor shows the robot at rest.
-            moves: whether a sensor shows motion.
+            sees_slide: True if a trusted position sensor shows the robot at rest.
+            moves: True if a sensor shows motion.
         """
         self.waits = self.lacks = False
         if self._limits is None or self._measured is None:
@@ -242,7 +242,7 @@ class AdhesionForceCheck:
         return self._push[1], f" with the {self._push[1]:.1f} N that the propellers report"
 
     def _unheard_push(self, now_ns: int, sees_slide: bool, moves: bool, force_n: float) -> tuple[float, str]:
-        """As `_counted_push`, for propellers without reports; (0, "") where the fan alone holds the robot."""
+        """Push of propellers without reports, as of `_counted_push`; (0, "") where the fan alone suffices."""
         limits = self._limits
         assert limits is not None
         statics, heading_rad, asked_n = limits.statics, self.heading_rad, limits.nominal_thrust_n

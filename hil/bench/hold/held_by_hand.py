@@ -25,7 +25,7 @@ class EmulatedSupport:
     Args:
         config: the bench configuration.
         world: the robot's world.
-        servos: whether the servos are served, so that a client can enable them.
+        servos: True if the servos are served, so that a client can enable them.
     """
 
     def __init__(self, config: BenchConfig, world: World, servos: bool) -> None:

@@ -192,7 +192,7 @@ class HeldDevices:
             known: a trajectory that was checked before; common segments at the end are not checked again.
 
         Raises:
-            TrajectoryError: with the first offending time.
+            TrajectoryError: the trajectory exceeds a limit; names the first time at which it does.
             UsageError: `trajectory` is not a trajectory.
         """
         self.model.check(trajectory, known=known)

@@ -56,7 +56,7 @@ _CALM_M_S2 = 2.0
 _SLOW_NS = nanoseconds(1.5)
 """Time limit for an IMU that has begun to deliver: on a busy computer its samples come late."""
 _STOPPED_NS = nanoseconds(0.3)
-"""By then the wheels rest after a stop, and what still moves slides."""
+"""Time after a stop by which the wheels rest: what still moves then slides."""
 _RISES_NS = nanoseconds(2.0)
 """Time that a fan takes to a higher force: meanwhile a force that falls seems to rise."""
 _MOVED_M = 0.001
@@ -74,7 +74,7 @@ class HoldCheckDeadline:
     Args:
         began_ns: beginning of the check.
         limit_s: time limit, counted from the beginning and from each failure of servos.
-        strict: whether the limit is never extended.
+        strict: True if the limit is never extended.
     """
 
     def __init__(self, began_ns: int, limit_s: float, *, strict: bool) -> None:
@@ -95,8 +95,8 @@ class HoldCheckDeadline:
 
         Args:
             t_ns: time of the sample.
-            doubt: whether servos or motion contradict HELD.
-            waits: whether only the check of propellers without commands is unfinished.
+            doubt: True if servos or motion contradict HELD.
+            waits: True if only the check of propellers without commands is unfinished.
         """
         self._waits = waits
         if waits:
@@ -217,8 +217,8 @@ class HoldMonitor(Sink):
 
         Args:
             limit_s: time limit.
-            strict: whether the limit is never extended; an undecided check gives NOT HELD.
-            for_good: whether the bench ends now: no more commands are sent to a held robot.
+            strict: True if the limit is never extended; an undecided check gives NOT HELD.
+            for_good: True if the bench ends now: no more commands are sent to a held robot.
         """
         held = self._look(limit_s, strict, for_good)
         if not (for_good and held.state == "HELD"):

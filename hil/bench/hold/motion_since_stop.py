@@ -207,7 +207,7 @@ class MotionSinceStop:
 
         Args:
             believed: names of the trusted sensors.
-            slides: whether the robot may slide, so that the wheels alone do not count.
+            slides: True if the robot may slide, so that the wheels alone do not count.
         """
         reported = {
             name: moved_m

@@ -126,8 +126,8 @@ class Preload:
         """Raise `SafetyStop` if measurements of the force contradict each other, and may let the robot fall.
 
         Args:
-            state: what has become of the robot so far, in words.
-            settled: whether fan and cells have had time to agree: a tether may press, too.
+            state: state of the robot so far, in words.
+            settled: True if fan and cells have had time to agree: a tether may press, too.
         """
         assert self._measured is not None
         believed, fan = self._believed(), self._measured.fan

@@ -64,8 +64,8 @@ class PropellerObservation:
 
         Args:
             now_ns: present time.
-            rests: whether a sensor shows the robot at rest; after a longer gap the observation restarts.
-            moves: whether a sensor shows motion: then the commands resume at once.
+            rests: True if a sensor shows the robot at rest; after a longer gap the observation restarts.
+            moves: True if a sensor shows motion: then the commands resume at once.
             least_n: push below which the robot would slide, N; 0 if unknown.
         """
         if not rests:

@@ -17,14 +17,14 @@ class Held:
 
     Attributes:
         state: `not needed` where gravity does not pull along the surface.
-        moved_m: largest displacement since the stop by camera, motion capture or wheels; None if not
-            measured: on a wall wheels do not detect a slide.
+        moved_m: largest displacement since the stop by camera, motion capture or wheels (not on a wall, where
+            wheels do not detect a slide); None if not measured.
         why: the evidence; or what is missing, and what to do.
-        opened: whether servos were opened; if not, nothing was done after which the robot must be held.
+        opened: True if servos were opened; if not, nothing was done after which the robot must be held.
         by: measurement of what holds the robot; empty where none counts.
-        confirmed: whether a second sensor confirms it.
+        confirmed: True if a second sensor confirms it.
         rests_on: keys of the bench file that scale it.
-        wanted: whether the servos were commanded to hold, and the bench was not asked to release (`release`,
+        wanted: True if the servos were commanded to hold, and the bench was not asked to release (`release`,
             `exit.policy`); still True if another program switched torque off.
     """
 

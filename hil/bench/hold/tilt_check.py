@@ -67,7 +67,7 @@ class TiltWatch:
     """Recent gravity measurements of the IMU on the servos' robot.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
     """
 
     def __init__(self, config: BenchConfig) -> None:
@@ -135,7 +135,7 @@ def tilt_finding(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
     """Findings on the direction of gravity; none without measurements of an IMU on the servos' robot.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
         seen: samples of every kind that was watched.
     """
     good = [s for s in seen.get(IMU, ()) if s.status is Status.OK]

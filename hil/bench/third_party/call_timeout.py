@@ -42,7 +42,7 @@ class TimeLimit:
         reported: polls after which a warning is logged.
         ended: polls after which the call is ended.
         expected: text on the expected behaviour of the call.
-        may_be_left: whether `leave` ends the call once the warning is logged.
+        may_be_left: True if `leave` ends the call once the warning is logged.
     """
 
     reported: int
