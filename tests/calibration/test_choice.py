@@ -25,7 +25,7 @@ BRIEF = ("line_x", "line_y", "circle_ccw")
 
 def found(contact, seed=3):
     robot = hidden_robot(seed, contact=contact)
-    recordings = make_set(robot, seed, BRIEF, repetitions=2, run_to_run=0.2, slip_share=0.0)
+    recordings = make_set(robot, seed, BRIEF, repetitions=4, run_to_run=0.2, slip_share=0.0)
     return choose(recordings, candidates(SETTING, robot.nominal.geometry))
 
 
@@ -164,14 +164,57 @@ def test_models_that_are_as_right_are_named_with_what_that_costs_elsewhere():
     assert all(rival.name in said for rival in result.choice.rivals)
 
 
-def test_probabilities_are_of_laws_and_grow_with_the_number_of_recordings():
-    laws = ["exact", "dry-friction", "creep", "creep"]
-    alike = probabilities(laws, [0.003] * 4, 10)
-    assert sum(alike) == pytest.approx(1.0)
-    assert alike[0] == pytest.approx(alike[2] + alike[3])
-    assert alike[1] == pytest.approx(0.25 * alike[0])
-    few, many = (probabilities(laws, [0.005, 0.004, 0.005, 0.005], n)[1] for n in (4, 24))
+def of(law, ratio=1.0, loads=(1.0, 1.0, 1.0, 1.0)):
+    setting = make_setting("recommended", model=law)
+    return Candidate(f"{law} {ratio} {loads}", setting, WheelGeometry.nominal().with_tyres(loads, ratio))
+
+
+FOUR = [of("exact"), of("dry-friction"), of("creep"), of("creep", 0.4)]
+
+
+def test_before_any_data_a_law_is_as_probable_as_another_and_dry_friction_half():
+    assert probabilities(FOUR, [[0.003]] * 4, ["a"]) == pytest.approx([2 / 7, 1 / 7, 2 / 7, 2 / 7])
+    loads = (0.5, 1.5, 0.5, 1.5)
+    also = [*FOUR, of("dry-friction", loads=loads), of("creep", loads=loads)]
+    found = probabilities(also, [[0.003]] * 6, ["a"])
+    assert found == pytest.approx([2 / 7, 1 / 14, 1 / 7, 2 / 7, 1 / 14, 1 / 7])
+
+
+def test_probabilities_grow_with_the_recordings_and_not_with_copies_of_one():
+    errors = [[0.005] * 24, [0.004] * 24, [0.005] * 24, [0.005] * 24]
+    few = probabilities(FOUR, [own[:4] for own in errors], range(4))[1]
+    many = probabilities(FOUR, errors, range(24))[1]
     assert few < 0.5
     assert many > 0.95
-    for laws_of_statics in (["exact", "creep"], ["exact", "creep", "creep", "creep"]):
-        assert probabilities(laws_of_statics, [0.003] * len(laws_of_statics), 8)[0] == pytest.approx(0.5)
+    assert probabilities(FOUR, errors, [k % 4 for k in range(24)])[1] == pytest.approx(few)
+
+
+def test_a_recording_in_which_the_robot_slid_decides_no_more_than_others():
+    """A burst of slip that every law misses leaves the choice to the recordings without one."""
+    calm = [[0.004] * 6, [0.004] * 6, [0.001] * 6, [0.004] * 6]
+    slid = [[*own, burst] for own, burst in zip(calm, (0.050, 0.060, 0.054, 0.060), strict=True)]
+    assert probabilities(FOUR, slid, range(7)) == pytest.approx(probabilities(FOUR, calm, range(6)), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("errors", "chosen"),
+    [
+        ((0.0040, 0.0036, 0.0040, 0.0060), "exact"),
+        ((0.0060, 0.0036, 0.0040, 0.0060), "creep"),
+        ((0.0060, 0.0020, 0.0060, 0.0060), "dry-friction"),
+        ((0.0040, 0.0060, 0.0020, 0.0060), "creep"),
+    ],
+)
+def test_without_a_clear_choice_the_simplest_of_the_probable_laws_is_taken(monkeypatch, errors, chosen):
+    robot = hidden_robot(1)
+    recordings = make_set(robot, 1, BRIEF[:2], repetitions=3)
+    of_candidate = iter(errors)
+    monkeypatch.setattr(
+        choice_module, "left_out", lambda recordings, *given: [next(of_candidate)] * len(recordings)
+    )
+    monkeypatch.setattr(choice_module, "_at_wheels_m", lambda error, nominal: error)
+    choice = choose(recordings, FOUR)
+    assert choice.best.law == chosen
+    clear = chosen in ("dry-friction", "creep") and min(errors) == 0.0020
+    assert (choice.confidence > 0.9) == clear
+    assert ("no clear choice" not in choice.in_words()) == clear
