@@ -241,7 +241,7 @@ def one_world(ctx: Context, seed: int, found: World) -> World:
     Args:
         ctx: context of the run.
         seed: seed of the worlds.
-        found: receives the result of each drive when it ends.
+        found: dictionary that receives the result of each drive when it ends.
 
     Returns:
         `found`.

@@ -74,7 +74,8 @@ class Bench(HeldDevices):
             report this themselves.
         waits_for_sensors: True to wait for a lost sensor beyond its `fail_after_s`, in real time: for
             programs that watch a resting robot. Set it before the bench is entered.
-        own_controller: makes the controller of every trajectory from the model; None for the configured law.
+        own_controller: function that makes the controller of every trajectory from the model; None for the
+            configured law.
         undivided: maker of the context of each cycle, as for `ControlLoop`.
         driven_by: name of an external program that drives every trajectory, and the function that queries it;
             None without one.

@@ -107,8 +107,8 @@ def switch_on(
         force_n: force set-point, N; the bench's working force on its wall when None.
         duty: set-point in place of a force.
         wait_s: time limit, s.
-        say: receives a line of progress each second.
-        tethered: the operator has confirmed that the robot is tethered or off the wall.
+        say: function that receives a line of progress each second.
+        tethered: True if the operator has confirmed that the robot is tethered or off the wall.
 
     Returns:
         The force by the fan's speed, N, with which load cells, duty and voltage agree as far as they are
@@ -226,7 +226,7 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
     Args:
         spec: the fan or propellers.
         confirmed_by: evidence that the robot does not hang by it.
-        say: receives a line of progress each half second.
+        say: function that receives a line of progress each half second.
 
     Raises:
         UsageError: another program has requested the force again meanwhile.

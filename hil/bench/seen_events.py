@@ -15,7 +15,7 @@ class SeenEvents(Sink):
     """Collects the events of warning and above of one bench.
 
     Args:
-        since_begun_ns: converts a time of the bench's clock, ns, to the time since the bench was opened.
+        since_begun_ns: function from a time of the bench's clock, ns, to the time since the bench was opened.
 
     Attributes:
         distrusted: first event of each device whose samples count for nothing from then on.

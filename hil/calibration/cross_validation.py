@@ -51,7 +51,7 @@ def left_out(
         blocks: the same runs, reduced.
         setting: setting of the fit.
         nominal: prior mean.
-        start: see `fitting.fit`.
+        start: parameters (m,) to start from, see `fitting.fit`.
         groups: one label per recording; each label in turn is left out.
         progress: called with (done, total) folds.
     """

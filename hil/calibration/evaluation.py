@@ -34,8 +34,8 @@ class Track:
     """Odometry and ground truth of one recording at the same instants.
 
     Attributes:
-        t_s: (n,), from 0.
-        odometry, truth: (n, 3), m, m, rad.
+        t_s: instants (n,), from 0.
+        odometry, truth: poses (n, 3), m, m, rad.
     """
 
     recording: Recording

@@ -186,7 +186,7 @@ class StandardErrors:
     They combine the spread over recordings and motions, the prior, the steering play and the forward model.
 
     Attributes:
-        covariance: (m, m) of the parameters.
+        covariance: covariance (m, m) of the parameters.
         twist_slopes: (m, 3, 3) derivative of the twist correction by each parameter.
         quantile: half width of a 95 % interval over its standard error.
     """
@@ -292,7 +292,7 @@ def play_shift(problem: Problem, inverse: Array, information: Array, own: Array)
     Args:
         problem: weights of the recordings.
         inverse: (m, m) inverse of the total information.
-        information: (R, m, m) of each recording, unweighted.
+        information: information (R, m, m) of each recording, unweighted.
         own: (R,) mask of these recordings.
     """
     share = np.einsum("r,rab->ab", problem.weights[own], information[own])

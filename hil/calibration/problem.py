@@ -89,13 +89,14 @@ class Setting:
             moves a wheel's way by 5 % of its length); None for a prior instead.
         block_s: length of a block.
         robust: Cauchy weight per recording.
-        by_motion: a recording stands out only if it differs from the others of its motion; a motion that
-            the model explains badly as a whole is kept.
+        by_motion: True if a recording stands out only where it differs from the others of its motion; a
+            motion that the model explains badly as a whole is kept.
         steering_play_rad: play of a steering gear to each side. A wheel may stand on one side of it in all
             recordings of a motion; standard errors allow for that.
         tolerance: workshop tolerance over the prior's standard deviation. The prior is narrower, so that it
             holds parameters that the data do not show; standard errors include the full tolerance.
-        choose_model: take `exact` instead of `dry-friction` where it explains the typical recording better.
+        choose_model: True to take `exact` instead of `dry-friction` where it explains the typical recording
+            better.
     """
 
     name: str

@@ -150,7 +150,7 @@ def simulate(
         rng: source of the noise.
         run_to_run: scale of the differences from run to run: 0.06 deg and 1 mm per metre, 0.05 % of length.
         slip_bursts: number of times that the body slides for a second, by millimetres.
-        corrupted: a wheel slips for a third of the run and the capture system jumps.
+        corrupted: True for a wheel that slips for a third of the run and a capture system that jumps.
     """
     cad = robot.nominal.geometry
     t_s = np.arange(0.0, duration_s(motion), _STEP_S)

@@ -97,7 +97,7 @@ class BenchRequest:
         faults: specs, and files of timelines.
         calibration: file to apply.
         controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
-        ros2: published as ROS 2 topics.
+        ros2: True to publish as ROS 2 topics.
         ros2_domain: DDS domain; None for that of the environment.
         ros2_wait: share of a cycle to wait for a program that drives; None for what the file says.
         ros2_interface: network interface beside loopback; empty for none.

@@ -32,7 +32,7 @@ class Words(click.types.StringParamType):
     """Text type that completes to the words that `find` returns, and to files if `files` is set.
 
     Args:
-        find: returns the possible words, given the context and the incomplete word.
+        find: function to the possible words, given the context and the incomplete word.
         files: True if the value may also be the name of a file.
     """
 

@@ -204,7 +204,7 @@ def _ended_by_signals(
     """Context in which a signal ends the server in an orderly way.
 
     Args:
-        stop: ends the server.
+        stop: function that ends the server.
         only_by_sigterm: True to ignore SIGINT and SIGHUP: a terminal also sends them to the bench that
             started this process and that has to hold its robot first.
     """

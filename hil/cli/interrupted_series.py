@@ -19,7 +19,7 @@ def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> It
 
     Args:
         finished: function to the progress so far, in words, as "3 of 20 runs are finished".
-        show: writes it; returns the page, or an empty text where nothing is finished.
+        show: function that writes it; returns the page, or an empty text where nothing is finished.
 
     Raises:
         Aborted: a signal, or the block itself, ended it.

@@ -31,7 +31,7 @@ def reporting(quiet: bool = False, clock: Clock | None = None) -> Iterator[Repor
     """Yield `report(what, done, total)`.
 
     Args:
-        quiet: say nothing.
+        quiet: True to say nothing.
         clock: clock for the time left, the host's by default.
     """
     times = clock if clock is not None else MonotonicClock()

@@ -146,7 +146,7 @@ class _Findings:
     Attributes:
         problems: problems of damaged ones, of which the readable part is used.
         refused: reasons of those from which nothing is fitted.
-        warnings: anything else.
+        warnings: all other warnings.
     """
 
     problems: list[str] = field(default_factory=list)

@@ -72,7 +72,7 @@ class MotorConfig(AdhesionConfig, DaemonMotorConfig):
     rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0
 
     def ratings(self) -> MotorRatings:
-        """As for any fan, with the law of its motor."""
+        """Ratings of any fan, with the law of its motor."""
         known = super().ratings()
         motor_a = known.rated_w * DROOP * self.rpm_per_v / self.rated_rpm
         return replace(known, rpm_per_v=self.rpm_per_v, rated_motor_a=motor_a)
@@ -108,7 +108,7 @@ class VescConfig(MotorConfig):
     pole_pairs: PolePairs = 3
 
     def ratings(self) -> MotorRatings:
-        """As for any motor, with its pole pairs."""
+        """Ratings of any motor, with its pole pairs."""
         return replace(super().ratings(), pole_pairs=self.pole_pairs)
 
     @property

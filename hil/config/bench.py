@@ -44,7 +44,7 @@ class BenchConfig(Strict):
         name: label of the bench in every result and recording.
         calibration: path of the `calibration.toml` to apply; nominal geometry without one. Like every
             path in the file, a relative one starts at the file's folder.
-        failed_calibration: use a calibration also where its validation run ended in FAIL.
+        failed_calibration: true to use a calibration also where its validation run ended in FAIL.
     """
 
     schema_version: Literal[1] = Field(alias="schema")
@@ -141,7 +141,7 @@ class BenchConfig(Strict):
         """The configuration with `servos.prefetch` decided by how the bench runs, if the file leaves it out.
 
         Args:
-            realtime: the bench is asked to run in real time; one with a real device does in any case.
+            realtime: True if the bench is asked to run in real time; one with a real device does in any case.
         """
         servos = self.of(ServosConfig)
         if servos is None:

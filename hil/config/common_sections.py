@@ -16,7 +16,7 @@ class LoopConfig(Strict):
 
     Attributes:
         rate_hz: cycles per second.
-        late_after_s: a cycle that starts later than this after its deadline counts as late.
+        late_after_s: delay beyond its deadline from which on the start of a cycle counts as late.
         fifo_priority: priority under SCHED_FIFO, where the system allows it; none leaves the scheduler alone.
         cpu: number of the core that the loop is bound to; none leaves it to the system.
     """
@@ -35,7 +35,8 @@ class SafetyConfig(Strict):
         wheel_rate_limit_rad_s, steering_limit_rad: setpoints are clipped to these.
         heading_limit_rad: largest heading on a wall; beyond it the thrust no longer points up. At most the
             heading at which `[robot]` still holds on the most slippery surface known, unless `tethered`.
-        tethered: the robot is on a tether and cannot fall: for finding the heading at which it slides.
+        tethered: true where the robot is on a tether and cannot fall: for finding the heading at which it
+            slides.
         tracking_error_limit_m: distance from the reference.
         body_speed_limit_m_s: speed that the camera may see: faster is a slide.
         adhesion_limit_m_s2: specific force below which the robot counts as falling; at least 1 on a wall.
@@ -71,7 +72,7 @@ class AlignmentConfig(Strict):
     """Signs and zeros between servo angles and body angles, wheel order FL, BL, BR, FR.
 
     Attributes:
-        drive_sign, steer_sign: 1, or -1 where the servo is mounted the other way round.
+        drive_sign, steer_sign: sign of each servo: 1, or -1 where the servo is mounted the other way round.
         steer_zero_rad: servo angle at which the wheel points along body x (`hil run steering_zero` finds it).
     """
 
@@ -94,7 +95,7 @@ class EmulationConfig(Strict):
         mjcf: MJCF file of your own robot, for `mujoco` only, with joints `steer_FL` ... `drive_FR`; made from
             `[robot]` where it is left out.
         faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
-        randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
+        randomise_truth: true to draw the robot's true parameters by seed instead of taking the nominal ones.
         geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
             robot as delivered, less is what a calibration would have left of them.
         replay: recording (of this project, a public pair, or plain CSV) whose motion the robot repeats,

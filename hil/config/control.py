@@ -34,7 +34,7 @@ class ControlConfig(Strict):
         steering_limit_rad, steering_rate_rad_s: largest angle and largest rate of a steering module.
         wheel_speed_m_s, acceleration_m_s2: largest of any wheel; references and setpoints keep within.
         heading_limit_rad: largest heading of a reference on a wall.
-        goal_position_m, goal_heading_rad: within these at the end, the robot is held.
+        goal_position_m, goal_heading_rad: tolerances within which the robot is held at the end.
     """
 
     law: LawName = "optimal"

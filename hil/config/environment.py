@@ -27,10 +27,10 @@ class EnvironmentConfig(Strict):
     """Where the robot works; real and emulated alike.
 
     Attributes:
-        surface: its name. An emulated robot stands on `floor` (needs no adhesion, and lies flat),
+        surface: name of the surface. An emulated robot stands on `floor` (needs no adhesion, and lies flat),
             `concrete`, `melamine` or `patchy`; what else a real one stands on is only written down.
-        tilt_rad: 0 for a floor, pi/2 for a wall, more overhangs. Above 0.1 it counts as a wall: gravity lies
-            in the plane of motion, and the wall's guards are on.
+        tilt_rad: tilt of the surface: 0 for a floor, pi/2 for a wall, more overhangs. Above 0.1 it counts as
+            a wall: gravity lies in the plane of motion, and the wall's guards are on.
         friction: coefficient of tyre on surface, where it is known (`hil run surface_identification` and
             `adhesion_check` find it): the adhesion that is needed depends on it. Left out, an assumption.
         start_pose: (x m, y m, theta rad) in the wall frame: where an emulated robot is when its world begins.

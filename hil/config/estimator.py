@@ -50,7 +50,7 @@ class WheelNoise(Strict):
         per_sqrt_m: random slip, m per square root of rolled metre.
         per_sqrt_s: random creep of a wheel at rest, m per square root of a second.
         steering_m_rad: m of noise per radian that the module turned during the step.
-        longest_gap_s: a longer interval is not taken for one displacement.
+        longest_gap_s: longest interval that is taken for one displacement.
         friction_window_s: wheel steps that `dry-friction` and `creep` evaluate together.
     """
 
@@ -104,7 +104,7 @@ class GyroNoise(Strict):
         bias_rad_s, bias_rad_s_sqrt_s: prior of the bias, and its random walk.
         gravity_rad, gravity_per_m_s2: noise of one gravity heading, and more of it per body acceleration.
         gravity_offset_rad: prior of the constant error of the gravity heading.
-        use_gravity: take the gravity heading on the wall.
+        use_gravity: true to use the gravity heading on the wall.
     """
 
     rate_rad_s: Sigma = 0.003
@@ -126,9 +126,10 @@ class TrackerNoise(Strict):
         yaw_drift_per_sqrt_s: random walk of the frame's heading about the robot, rad.
         scale_sigma: prior of the camera's scale error (free unless 0), of what is left of it where the bench
             file knows `tracker.scale`; then `tracker.scale_sigma` is the default.
-        baseline_s: the frame is cloned anew after this time; 0 keeps it until a jump.
+        baseline_s: time after which the frame is cloned anew; 0 keeps it until a jump.
         least_quality: confidence below which a pose is dropped; the next one up is trusted half as much.
-        jump_m, jump_rad, fastest_m_s, fastest_rad_s: a step beyond jump + fastest * time is a jump.
+        jump_m, jump_rad, fastest_m_s, fastest_rad_s: limits of a step: beyond jump + fastest * time it is a
+            jump.
     """
 
     use: Literal["relative", "absolute", "off"] = "relative"
@@ -150,7 +151,7 @@ class MocapNoise(Strict):
     """Motion capture is ground truth and stays out of the estimate unless `use` is set.
 
     Attributes:
-        use: take its poses as measurements.
+        use: true to take its poses as measurements.
         position_m, heading_rad: white noise of one pose.
     """
 
@@ -178,8 +179,8 @@ class TimeConfig(Strict):
     """Stamps and history.
 
     Attributes:
-        history_s: late samples younger than this rewind; older ones are counted and dropped.
-        future_s: a stamp further ahead of the cycle than this is refused.
+        history_s: age up to which late samples rewind; older ones are counted and dropped.
+        future_s: time ahead of the cycle beyond which a stamp is refused.
         clock: `stamp` trusts each sample's own stamp; `estimated` also follows offset and drift of each
             sensor's clock against the host's (`hil.estimator.measurement_queue`).
         nis_samples: length of the running mean of each sensor's normalised innovation.

@@ -25,7 +25,7 @@ class Bno055Config(ImuConfig):
         mount_position_m, mount_rotation_wxyz: sensor (after the remap) in the body, m
             (arXiv 2509.04016).
         calibration_file: 22 offset bytes as hex text or as TOML, written at open and after a reset.
-        prefetch: ask for the next burst at the end of each read, so that a read need not wait for the
+        prefetch: true to ask for the next burst at the end of each read, so that a read need not wait for the
             wire (3.5 ms); the sample is then one cycle old, and stamped so.
         reply_timeout_s: longest silence before a request counts as lost.
         retry_budget_s: time one `read` may spend on repeating requests.
@@ -34,7 +34,7 @@ class Bno055Config(ImuConfig):
         check_period_s: interval at which mode and system status are read.
         fail_after_s: uninterrupted failure that raises instead of being reported as data.
         outage_poll_s: time between polls while the sensor is silent.
-        stuck_after_s: bit-identical data for longer than this are marked frozen.
+        stuck_after_s: time after which bit-identical data are marked frozen.
         sample_age_s: mean age of the fused data when read: half of the 10 ms fusion period.
     """
 

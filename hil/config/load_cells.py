@@ -26,7 +26,7 @@ class LoadCellsConfig(DeviceConfig):
         n_per_count: force of one count, by cell; negative where a cell is mounted the other way round.
         zero_n: force that each cell shows while the fan is off; `hil run adhesion_check` finds it.
         rate_hz: samples per second: 10 or 80, by the converter's RATE pin.
-        largest_n: each cell's range; a cell at its end counts as broken.
+        largest_n: range of each cell; a cell at its end counts as broken.
         open_timeout_s: longest wait for the first sample.
         fail_after_s: uninterrupted silence that raises.
     """

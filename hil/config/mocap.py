@@ -30,8 +30,8 @@ class MocapConfig(DeviceConfig):
             `max_rate_rad_s` explain; anything larger is a swapped body.
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
-        stale_after_s: poses that come later than this are marked stale.
-        stuck_after_s: bit-identical poses for longer than this are marked frozen.
+        stale_after_s: age after which poses are marked stale.
+        stuck_after_s: time after which bit-identical poses are marked frozen.
         keepalive_s: time between signs of life to a unicast server.
         reconnect_after_s: silence after which the connection is requested again.
         open_timeout_s: longest wait for the server and the rigid body.

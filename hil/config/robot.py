@@ -33,7 +33,7 @@ class RobotConfig(Strict):
         wheel_x_m, wheel_y_m, wheel_radius_m: contact points in the body, and radii.
         mass_kg: mass with payload.
         centre_of_mass_m: x, y in the body, height above the surface.
-        yaw_inertia_kg_m2: about the centre of mass (assumed).
+        yaw_inertia_kg_m2: moment of inertia about the centre of mass (assumed).
         outline_m: length along x and width along y.
         edf_force_n: adhesion of the ducted fan, acting at the body's origin towards the surface.
         thrust_compensation: share of the weight along the surface that the propellers carry.

@@ -32,8 +32,8 @@ class ServosConfig(DeviceConfig):
         drive_ids, steer_ids: IDs in wheel order FL, BL, BR, FR.
         steer_mode: operating mode that the steering servos must have; drives must be in velocity mode.
         fast_sync_read: `auto` uses the fast reads when every firmware has them (45 on).
-        prefetch: ask for the next state right after every command, so that a read need not wait for the
-            bus; the sample is then most of a cycle old, and stamped so. Where it is left out: yes in real
+        prefetch: true to ask for the next state right after every command, so that a read need not wait for
+            the bus; the sample is then most of a cycle old, and stamped so. Where it is left out: yes in real
             time from 100 Hz on, no in slower loops and in virtual time.
         usb_latency_s: latency timer of the USB adapter.
         return_delay_s: Return Delay Time that the servos are expected to have; larger is reported.

@@ -28,7 +28,7 @@ class T265Config(TrackerConfig):
     Attributes:
         serial: serial number of the camera to use; any T265 when None.
         firmware: versions that it may have; `hil doctor` refuses others. Its library gives it its own.
-        endpoint: poses come from an emulated camera in another process instead of the USB library.
+        endpoint: address of an emulated camera in another process instead of the USB library.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (arXiv 2509.04016);
             applied by the alignment.
         scale: distance that the camera reports over the true distance; the alignment divides by it.
@@ -49,13 +49,13 @@ class T265Config(TrackerConfig):
             and wheels are then no longer independent measurements.
         wheel_sigma_m_s: standard uncertainty of that velocity, per axis; from the noise of the wheels
             (`estimator.wheels`) at the highest speed when None.
-        stale_after_s: poses that come later than this are marked stale.
-        stuck_after_s: bit-identical poses for longer than this (20 of them) are marked frozen.
+        stale_after_s: age after which poses are marked stale.
+        stuck_after_s: time after which bit-identical poses (20 of them) are marked frozen.
         connect_timeout_s: longest wait for the camera to be there: it is given its firmware, which takes
             seconds, each time it is plugged in.
         open_timeout_s: longest wait for the first pose.
         fail_after_s: uninterrupted silence (or garbage) that raises.
-        queue_length: poses kept between two reads; the oldest are dropped and counted.
+        queue_length: number of poses kept between two reads; the oldest are dropped and counted.
     """
 
     model: Literal["t265"] = "t265"

@@ -85,7 +85,8 @@ class Within:
     """Plausible bounds of a number in the bench file; a recorded configuration is not checked.
 
     Attributes:
-        low, high: permitted, both included; anything that is no finite number is beyond them.
+        low, high: lowest and highest permitted number, both included; anything that is no finite number is
+            beyond them.
         why: reason for the bounds.
         smallest: least absolute value, for a number of either sign that cannot be 0.
     """

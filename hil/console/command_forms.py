@@ -44,11 +44,11 @@ class Action:
     """A command or procedure that the page can start.
 
     Attributes:
-        name: unique.
+        name: unique name.
         group: heading that it stands below.
         summary: a sentence.
         fields: fields of its form.
-        words: makes the words of the command, after `hil`, from the filled-in values.
+        words: function that makes the words of the command, after `hil`, from the filled-in values.
         problems: errors in the filled-in values by name of the field; an empty name means the whole form.
     """
 

@@ -23,8 +23,8 @@ class TrackingController(Controller):
     Small corrections at the goal would steer the modules against each other.
 
     Args:
-        law: computes the body twist from the error.
-        modules: computes wheel setpoints from the twist.
+        law: control law: computes the body twist from the error.
+        modules: module layer: computes wheel setpoints from the twist.
         dead_zone: (3,) errors that count as zero, m, m, rad.
         goal_position_m, goal_heading_rad: errors within which the goal is reached.
     """

@@ -27,7 +27,7 @@ class WallOffset(NamedTuple):
     """Wall-clock time at a clock's zero.
 
     Attributes:
-        offset_ns: a time of the clock plus this offset is ns since the Unix epoch.
+        offset_ns: offset that turns a time of the clock into ns since the Unix epoch.
         uncertainty_ns: largest error of `offset_ns`, if the host's wall clock is right.
         measured_ns: time of the measurement, on the clock.
     """

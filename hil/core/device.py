@@ -30,7 +30,7 @@ class Connection:
     Attributes:
         values: address keys of its table in the bench file (`port`, `channel`, ...).
         parts: stand-ins for objects of a vendor's library: keyword arguments of the driver.
-        close: releases the address.
+        close: function that releases the address.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -59,7 +59,7 @@ class Search:
     Attributes:
         given: tables of devices that the user named, by kind.
         clock: clock for timeouts.
-        say: receives progress.
+        say: function that receives progress.
         sysfs: folder in which the kernel lists its devices.
         found: tables of what has been found so far, by kind.
     """
@@ -76,7 +76,8 @@ class Topic(NamedTuple):
 
     Attributes:
         name, type: topic name and message type, for example `/imu/data` and `sensor_msgs/msg/Imu`.
-        message: makes the message from (sample, `hil.recording.ros_types.MessageMaker`); None to send none.
+        message: function that makes the message from (sample, `hil.recording.ros_types.MessageMaker`); None
+            to send none.
     """
 
     name: str

@@ -34,9 +34,9 @@ class ExternalCommands:
     """All commands of one cycle.
 
     Attributes:
-        commands: oldest first.
-        reason, trouble: why the robot must stop, as seen on the network: one word, and a text; both empty for
-            none. A text without a reason names the publishers when the newest command is late.
+        commands: commands, the oldest first.
+        reason, trouble: reason why the robot must stop, as seen on the network: one word, and a text; both
+            empty for none. A text without a reason names the publishers when the newest command is late.
         only_synchronised: True if, in lockstep, the stamp shows only that the command belongs to no earlier
             cycle; a repeated run may differ.
     """

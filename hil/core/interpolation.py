@@ -17,7 +17,7 @@ def between_samples(
     Args:
         at: (m,) instants wanted.
         t: (n,) times of the samples, in order, in the unit of `at`.
-        values: (n, k); with fewer than two samples the result is all NaN.
+        values: values (n, k) of the samples; with fewer than two samples the result is all NaN.
         longest: longest gap between samples that is interpolated; NaN inside a longer one.
         before: time before the first sample for which it is repeated.
         after: time after the last sample for which it is repeated.

@@ -117,9 +117,9 @@ class ServoHold:
 
     Attributes:
         t_ns: time of that status.
-        position_rad: (8,), as in `ServoSample`; NaN where a servo did not answer.
-        trouble: why a servo does not hold, by its name in `SERVOS`; empty when all eight have torque and an
-            armed watchdog.
+        position_rad: angles (8,), as in `ServoSample`; NaN where a servo did not answer.
+        trouble: reason why a servo does not hold, by its name in `SERVOS`; empty when all eight have torque
+            and an armed watchdog.
         wanted: True while they are commanded to hold: from `enable` until `release`.
         late: description of servos that answer too late for a cycle, by name.
         released: True if torque was on and `release` has switched it off; `enable` does not change it.

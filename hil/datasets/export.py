@@ -249,7 +249,7 @@ def to_recording(
 
     Args:
         path: the MCAP file; the motion is its name without the number of a repetition.
-        problems: receives the parts that could not be read; None to raise on damage.
+        problems: list that receives the parts that could not be read; None to raise on damage.
         nominal: robot that it is read for, see `build_recording`.
 
     Raises:

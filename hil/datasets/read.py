@@ -112,13 +112,13 @@ def read_recordings(
     Args:
         paths: files and folders.
         progress: called with (done, total) after each run.
-        topics: see `find_recordings`.
+        topics: topic mapping, see `find_recordings`.
         nominal: robot that they are read for, see `build_recording`.
-        truth: see `find_recordings`.
-        coupling: see `decoupled`.
-        unusable: filled with file and reason of each recording that cannot be used, while more than half can.
-            The others are then refused only for signs that are wrong in most of them. If None, the first
-            unusable recording raises.
+        truth: ground truth in files of its own, see `find_recordings`.
+        coupling: coupling to take out, see `decoupled`.
+        unusable: mapping to fill with file and reason of each recording that cannot be used, while more than
+            half can. The others are then refused only for signs that are wrong in most of them. If None, the
+            first unusable recording raises.
 
     Returns:
         The recordings, in a fixed order, with unique names and corrected ground truth

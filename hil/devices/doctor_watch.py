@@ -88,7 +88,7 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
 
     Args:
         name: name of the device.
-        statuses: one for each sample.
+        statuses: status of each sample.
         due: number of samples that there should be.
         remedy: advice for when many are missing; where most of the bad ones repeat the same values, that is
             named instead.

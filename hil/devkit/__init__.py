@@ -1,4 +1,4 @@
-"""For authors of devices: device descriptions; drivers in `hil.devkit.driver`, chips in `hil.devkit.chip`.
+"""Parts of which a device is made: descriptions; drivers in `hil.devkit.driver`, chips in `hil.devkit.chip`.
 
 Every command imports the description, so it names driver and chip by string and imports neither.
 """

@@ -149,7 +149,7 @@ class History:
     Attributes:
         t_ns, numbers, seqs: (capacity,) stamps, sensor numbers, sequence numbers.
         rows: (capacity,) samples.
-        x, p, m: (capacity, 20), (capacity, 20, 20), (capacity,): state, covariance, memory after each event.
+        x, p, m: state (capacity, 20), covariance (capacity, 20, 20) and memory (capacity,) after each event.
         marks: (4,) first slot, number of events, refused as late, refused as duplicates.
         events, states: the same arrays in the form that `hil.estimator.event_loop.run` takes.
     """

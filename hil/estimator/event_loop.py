@@ -161,7 +161,7 @@ def run(
         pars: (1,) parameters of all kernels.
         points: sigma points of the UKF; None for the EKF, which is compiled separately.
         now_ns: time to predict to, where it is later than the newest event.
-        now: filled with the newest state; its memory is an array (1,).
+        now: arrays to fill with the newest state; its memory is an array (1,).
     """
     (marks, t_ns, numbers, rows), (x, p, m), (now_x, now_p, now_m) = events, states, now
     first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]

@@ -79,7 +79,7 @@ class Now:
         x, p: state (20,) and covariance (20, 20); x is a view into `figures`.
         m: (1,) sensor memory, a view into `figures`.
         states: x, p and m together.
-        pose, twist, covariance: (3,), (3,) and (6, 6), views into x and p.
+        pose, twist, covariance: newest estimate, (3,), (3,) and (6, 6): views into x and p.
     """
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class NumbaFilter(FilterBackend):
     """Runs events through the kernels of `hil.estimator.event_loop`, compiled or loaded on first use.
 
     Args:
-        par: see `hil.estimator.kernel_layout.parameters`.
+        par: parameters, see `hil.estimator.kernel_layout.parameters`.
         points: sigma points of the UKF; None for the EKF.
     """
 
@@ -132,8 +132,8 @@ class FusionEstimator(Estimator):
     """EKF or UKF over all sensors, with a history to rewind to for late samples.
 
     Args:
-        config, geometry, surface: see `hil.estimator.make_estimator`.
-        engine: runs the events.
+        config, geometry, surface: arguments of the maker, see `hil.estimator.make_estimator`.
+        engine: filter that runs the events.
         diagnostics: True if states contain diagnostics.
     """
 

@@ -48,7 +48,7 @@ class ProcessParameters(Record):
         yaw_slip: random walk of the turn per rolled metre, rad^2/m^3.
         bias: random walk of the gyro bias, rad^2/s^3.
         sight_per_m, sight_per_s, sight_turn: drift of the camera, m^2/m, m^2/s and rad^2/s.
-        scaled: 1 where the scale state belongs to the camera, else 0.
+        scaled: flag: 1 where the scale state belongs to the camera, else 0.
     """
 
     acceleration: float

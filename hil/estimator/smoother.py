@@ -180,7 +180,7 @@ def pull_update(
         m: memory before the sample; overwritten.
         sample: the sample's row, and the parameters of all kernels.
         after: (20,) state after the sample.
-        later: changed in place.
+        later: result of the later step, changed in place.
     """
     (row, par), (late, spread) = sample, later
     w = par.work
@@ -235,7 +235,7 @@ def backward(
         events: events of the segment, in order; the first one is the event before it.
         states: states of the forward pass after each event; memories are overwritten.
         pars: (1,) parameters of all kernels.
-        later: changed in place.
+        later: result of the later step, changed in place.
         xs: (n, 20) filled with smoothed states at the cycles' marks.
         ps: (n, 6, 6) filled there with the smoothed covariance of pose and twist.
     """

@@ -57,12 +57,12 @@ class PlantState:
         pose_body_in_wall: (3,) x m, y m, theta rad (unwrapped).
         twist_body: (3,) m/s, m/s, rad/s.
         acceleration_body: (2,) m/s^2, kinematic (no gravity), body axes.
-        joint_position_rad, joint_velocity_rad_s, joint_current_a: (8,), multi-turn.
+        joint_position_rad, joint_velocity_rad_s, joint_current_a: state of the joints, (8,), multi-turn.
         steering_true_rad: (4,) heading of each wheel beyond backlash and horn offset, body frame.
-        normal_load_n: (4,).
+        normal_load_n: normal load (4,) of each wheel.
         slip_m_s: (4, 2) longitudinal and lateral slip velocity in the wheel frame.
-        tilt_rad: 0 floor, pi/2 wall.
-        fallen: the robot has left the wall.
+        tilt_rad: tilt of the surface: 0 floor, pi/2 wall.
+        fallen: True if the robot has left the wall.
         adhesion_n, thrust_n: present forces of fan and propellers; NaN where unknown.
     """
 
@@ -89,7 +89,7 @@ class BodyMotion(NamedTuple):
         x_m, y_m, theta_rad: pose in the wall frame, heading unwrapped.
         v_x_m_s, v_y_m_s, omega_rad_s: twist, body axes.
         a_x_m_s2, a_y_m_s2: kinematic acceleration (no gravity), body axes.
-        tilt_rad: 0 floor, pi/2 wall.
+        tilt_rad: tilt of the surface: 0 floor, pi/2 wall.
     """
 
     x_m: float

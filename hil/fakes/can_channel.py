@@ -209,7 +209,7 @@ class WorldBus(can.BusABC):
         channel: name of the channel.
         can_filters: filters of received frames, as in `can.BusABC`.
         receive_own_messages: True if this bus also receives the frames that it sends.
-        kwargs: passed on to `can.BusABC`.
+        kwargs: arguments passed on to `can.BusABC`.
     """
 
     def __init__(

@@ -36,8 +36,8 @@ class Scheduled(Protocol):
 
     Attributes:
         alone: its `on_due` never changes the due time of another part.
-        announces: it calls `World.changed` whenever its due time changes, except in its own `on_due`; so it
-            need not be polled.
+        announces: True if it calls `World.changed` whenever its due time changes, except in its own `on_due`;
+            so it need not be polled.
         broken: set by the world after it has raised an exception; it does not act any more.
     """
 

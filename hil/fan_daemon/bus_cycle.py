@@ -70,9 +70,9 @@ class BusCycle:
 
     Args:
         spec: the fan.
-        control: decides what to send.
-        say: logs a line of text for each change.
-        bus: opened already; opened in the first cycle when None, and again whenever it is lost.
+        control: control that decides what to send.
+        say: function that logs a line of text for each change.
+        bus: open bus; opened in the first cycle when None, and again whenever it is lost.
 
     Attributes:
         bus_error: error of the bus, in words; empty for nothing.

@@ -231,7 +231,7 @@ class Connection:
 
     Args:
         connection: connection to the daemon.
-        t_ns: now.
+        t_ns: present time.
 
     Attributes:
         since_ns: time at which it began; `answered_ns`: time of the daemon's last answer.

@@ -54,7 +54,8 @@ class FailoverClient(MotorCommander):
     Args:
         spec: the fan.
         clock: the bench clock; real time.
-        say: logs a line of text when the bench begins or stops commanding the fan instead of the daemon.
+        say: function that logs a line of text when the bench begins or stops commanding the fan instead of
+            the daemon.
     """
 
     def __init__(self, spec: Spec, clock: Clock, *, say: Callable[[str], None] = _LOG.warning) -> None:

@@ -90,7 +90,8 @@ class Process:
     Args:
         spec: the fan.
         log: function that takes a line for each event.
-        stay: go on waiting while the fan is not commanded or its bus is not there yet, as a service does.
+        stay: True to go on waiting while the fan is not commanded or its bus is not there yet, as a service
+            does.
         emulation: emulation of the bus by another process: the daemon ends with it.
     """
 

@@ -53,7 +53,7 @@ class StandbyStarter:
     Args:
         spec: the fan.
         command: command line of a standby.
-        say: logs a line of text for each standby that connects or disconnects.
+        say: function that logs a line of text for each standby that connects or disconnects.
 
     Attributes:
         pid: process id of the latest standby; None once it has disconnected.

@@ -59,7 +59,7 @@ class Messages:
         way: direction of faults that give none, `IN` or `OUT`.
 
     Attributes:
-        unharmed: no fault is or was planned for the device, so that callers can skip the rule.
+        unharmed: True if no fault is or was planned for the device, so that callers can skip the rule.
     """
 
     def __init__(

@@ -20,8 +20,8 @@ class FaultPlan:
     A device may go by several names (`servos`, `servo.drive_FL`, `servo.1`).
 
     Attributes:
-        empty: no fault is planned.
-        touched: a fault is planned, or has been planned before.
+        empty: True if no fault is planned.
+        touched: True if a fault is planned, or has been planned before.
     """
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
@@ -145,8 +145,8 @@ class DeviceFaultView:
     """View of the faults of a plan that concern one device.
 
     Attributes:
-        empty: no fault is or was planned for this device, so it can skip all queries. It stays False after
-            the faults have been cleared, because the device must still notice that they ended.
+        empty: True if no fault is or was planned for this device, so it can skip all queries. It stays False
+            after the faults have been cleared, because the device must still notice that they ended.
     """
 
     def __init__(self, plan: FaultPlan, names: Iterable[str]) -> None:
@@ -169,7 +169,7 @@ class Once:
         """Return an active fault at its first query, and None at every later one.
 
         Args:
-            of: distinguishes this fault from others that start at the same time.
+            of: label that distinguishes this fault from others that start at the same time.
             fault: the active fault, or None.
         """
         if fault is None or (of, fault.start_ns) in self._done:

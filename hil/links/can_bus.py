@@ -78,7 +78,7 @@ class CanLink:
 
     Attributes:
         error: latest error of the interface; empty for nothing.
-        error_frames: seen since `open`.
+        error_frames: number of error frames since `open`.
     """
 
     def __init__(self, device: str, config: Any, clock: Clock) -> None:

@@ -120,7 +120,7 @@ def of_own_group(interface: str, bus: can.BusABC) -> can.BusABC:
 
     Args:
         interface: name of python-can's interface; the bus of any other than `udp_multicast` is left as it is.
-        bus: just opened; its `fileno` is that of its socket.
+        bus: bus that was just opened; its `fileno` is that of its socket.
     """
     if interface == "udp_multicast":
         with socket.socket(fileno=os.dup(bus.fileno())) as same:

@@ -19,7 +19,7 @@ class JumpTest:
     Args:
         distance_m, angle_rad: step that is allowed at any time.
         speed_m_s, rate_rad_s: motion that is allowed beside it.
-        reaccept_after: poses that must agree.
+        reaccept_after: number of poses that must agree.
     """
 
     def __init__(

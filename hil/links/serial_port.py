@@ -27,7 +27,7 @@ class SerialPort:
         url: device path or pyserial URL.
         baud: bits per second.
         expected: expected device, in errors.
-        shared: another driver of this process may have the port open, too.
+        shared: True if another driver of this process may have the port open, too.
 
     Raises:
         DeviceError: the port cannot be opened.
@@ -82,8 +82,8 @@ class SerialPort:
 
         Args:
             data: the request; empty to listen only.
-            feed: makes packets or lines of bytes (`PacketParser.feed`, `LineParser.feed`).
-            answer: converts a packet to the answer; None for a packet that is no answer.
+            feed: function that makes packets or lines of bytes (`PacketParser.feed`, `LineParser.feed`).
+            answer: function from a packet to the answer; None for a packet that is no answer.
             clock: clock of the bench.
             timeout_s: longest wait.
 

@@ -17,7 +17,7 @@ class SerialSensor(StreamingSensor[C, S]):
 
     Attributes:
         port: the open port; None while closed.
-        shared: another driver of this process may have the port open, too.
+        shared: True if another driver of this process may have the port open, too.
     """
 
     expected = "the device at a serial port or pyserial URL"

@@ -31,13 +31,13 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
 
     Attributes:
         name: kind of the device.
-        what: one measurement, in errors.
+        what: name of one measurement, in errors.
         expected: expected device, in errors.
         remedy: remedy for silence.
         port_gone: True if port or bus have failed; the bench opens the sensor again (`reopen`).
         period_ns: period between two samples.
         heard_ns: time at which the last whole measurement came.
-        stuck: finds measurements that are the same to the last bit for too long.
+        stuck: detector of measurements that are the same to the last bit for too long.
     """
 
     name: str

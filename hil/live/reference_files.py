@@ -93,7 +93,7 @@ def load_trajectory(
     Args:
         path: `.csv` with the header `x,y,theta` (wall frame; the robot first drives straight to the
             first waypoint), or `.py` that defines `trajectory(start_pose)` and returns a `Trajectory`.
-        check: refuses what the robot cannot follow, as `BenchModel.check` does.
+        check: function that refuses what the robot cannot follow, as `BenchModel.check` does.
 
     Returns:
         The function, and the checked path with whose segments its trajectories end; None for a script.

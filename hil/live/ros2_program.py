@@ -51,7 +51,7 @@ class PublisherWatch:
         """Check the publishers; to be called in every cycle.
 
         Args:
-            t_ns: now, bench clock.
+            t_ns: present time, bench clock.
         """
         found = self._topic.publishers()
         if found != self._known.keys():
@@ -121,7 +121,7 @@ class Ros2Program:
     """The ROS 2 program that drives a bench.
 
     Args:
-        publisher: publishes the open bench.
+        publisher: publisher of the open bench.
         name: name of the controller, `ros2:TOPIC`.
     """
 
@@ -153,7 +153,7 @@ class Ros2Program:
         """Warn of a publisher that is missing, sends nothing, or is gone; to be called in every cycle.
 
         Args:
-            t_ns: now, bench clock.
+            t_ns: present time, bench clock.
         """
         self._watch.look(t_ns)
 
@@ -161,9 +161,9 @@ class Ros2Program:
         """Keep the robot at rest until the program publishes.
 
         Args:
-            bench: open.
+            bench: open bench.
             start: state and estimator with which the run begins.
-            over: returns whether to stop waiting.
+            over: function to True once waiting is to stop.
         """
 
         def until(record: CycleRecord) -> bool:

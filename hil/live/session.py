@@ -99,8 +99,8 @@ class LivePlan:
     """What a session does.
 
     Attributes:
-        trajectory: makes the reference from the robot's pose; `commands`: velocity commands to follow
-            instead. With neither the session only watches.
+        trajectory: function that makes the reference from the robot's pose; `commands`: velocity commands to
+            follow instead. With neither the session only watches.
         program: ROS 2 program that drives, along the trajectory if there is one.
         duration_s: time after which it ends; at the trajectory's end, or never, when None.
         feedback: estimator in the loop; `observers` run beside it.
@@ -126,11 +126,11 @@ class LiveSession:
         bench: devices, clock, sinks; warmed up here.
         plan: plan of the session.
         recorder: recorder for the summary; also a sink of the bench.
-        monitor: shows the path to follow; also a sink of the bench.
+        monitor: monitor that shows the path to follow; also a sink of the bench.
         stop: signals as noted by the caller that opens and closes the bench; its own by default.
 
     Attributes:
-        ended: why it ended: `duration`, `trajectory`, the first signal's name, or the error's text.
+        ended: reason of its end: `duration`, `trajectory`, the first signal's name, or the error's text.
     """
 
     def __init__(
@@ -312,7 +312,7 @@ class LiveSession:
         """The condition that ends the loop; notes the latest record and why it ended.
 
         Args:
-            waited_ns: returns by how much the end is delayed.
+            waited_ns: function to the time by which the end is delayed.
             reason: reason of an end after `length_s`.
             length_s: duration from the first cycle on; None for no end.
         """

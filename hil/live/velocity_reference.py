@@ -31,7 +31,7 @@ class VelocityReference:
         start_pose: (3,) pose from which the reference moves.
         projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
         limits: limits of wheel speed and acceleration, heading and usable surface.
-        dead_man_s: a command older than this counts as `stop`, with the ramp of the acceleration limit.
+        dead_man_s: age beyond which a command counts as `stop`, with the ramp of the acceleration limit.
         stops_after_s: bus watchdog of the servos: after a longer time without a cycle they stop the wheels,
             and the reference starts again from rest; 0 without a watchdog.
 

@@ -36,7 +36,7 @@ class AlignmentParameters:
     """Calibrated zeros, signs and mounts of one bench.
 
     Attributes:
-        drive_sign, steer_sign: (4,) of +-1, wheel order.
+        drive_sign, steer_sign: signs (4,) of +-1, wheel order.
         steer_zero_rad: (4,) servo angle at which the wheel points along body x.
         tracker_scale: distance that the camera reports over the true distance.
         on_wall: True if gravity lies in the motion plane.

@@ -51,12 +51,12 @@ class ControlLoop:
     Args:
         rig, clock, pipeline: devices, clock, and the pipeline that computes the commands.
         rate_hz: cycles per second.
-        late_after_s: a start later than this after its deadline counts as late.
-        sinks: receive every cycle.
+        late_after_s: delay beyond its deadline from which on the start of a cycle counts as late.
+        sinks: sinks that receive every cycle.
         truth: true state of an emulated robot, for the records only; it is not used for control.
-        undivided: makes the context in which devices are read and commanded, records are written, and the
-            clock sleeps. In that of a procedure, a signal of the user waits for the end of the block: it
-            divides no exchange with a device and no action of an emulated one.
+        undivided: function that makes the context in which devices are read and commanded, records are
+            written, and the clock sleeps. In that of a procedure, a signal of the user waits for the end of
+            the block: it divides no exchange with a device and no action of an emulated one.
 
     Attributes:
         idle: called with the next deadline (ns) when a cycle is done; may use the time until then. None at

@@ -69,7 +69,8 @@ class ControlPipeline:
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.
         observers: further estimators that run on the same measurements; their states are recorded.
-        restart: resumes the motion after a pause of the loop; None where the wheels keep turning meanwhile.
+        restart: object that resumes the motion after a pause of the loop; None where the wheels keep turning
+            meanwhile.
         external: another program that drives in place of `controller`; None without one.
 
     Attributes:

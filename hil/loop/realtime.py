@@ -182,7 +182,7 @@ def idle_loop(
         real_time: same scheduling as the loop to compare with; entered around this loop.
         seconds: duration, s.
         rate_hz: cycles per second.
-        late_after_s: a start later than this after its deadline counts as late.
+        late_after_s: delay beyond its deadline from which on the start of a cycle counts as late.
     """
     statistics, period_ns, late_ns = LoopStatistics(), round(NS_PER_S / rate_hz), nanoseconds(late_after_s)
     with real_time:

@@ -46,7 +46,7 @@ class Checks:
         motion: camera against wheels and gyro; None without this check.
         estimate: the estimate against motion capture; None without motion capture or another independent
             sensor.
-        wheels: each wheel against the other three; None where they are not commanded by one motion.
+        wheels: check of each wheel against the other three; None where they are not commanded by one motion.
         needs_camera: True if the estimate in the loop uses the camera: the robot stops if that is in doubt or
             silent.
         steering: external encoders against the servos; None without this check.

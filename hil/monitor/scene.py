@@ -68,7 +68,7 @@ class Scene:
         Args:
             config: configuration of the bench.
             geometry: geometry of its wheels as it uses them.
-            recorded: the configuration comes from a recording: a mesh that is no longer there is left out.
+            recorded: True for a configuration from a recording: a mesh that is no longer there is left out.
 
         Raises:
             ConfigError: the mesh that the bench file names is not there.

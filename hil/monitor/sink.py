@@ -73,7 +73,7 @@ class RerunMonitor(Sink):
     Args:
         target: `spawn`, `connect`, `serve`, a `rerun+http://` URL or a `.rrd` file, or several of
             them separated by commas.
-        lossless: drop nothing, `write` waits instead (a recording is shown).
+        lossless: True to drop nothing: `write` waits instead (a recording is shown).
         scene: robot and surface to draw; those of the paper when None.
         capacity: cycles that may wait before the oldest is dropped or `write` waits.
         patience_s: longest time of the viewer for the rest when all is over and, where nothing is dropped,
@@ -81,7 +81,7 @@ class RerunMonitor(Sink):
 
     Attributes:
         dropped: cycles that were not shown.
-        failure: why the view ended before the run, or which of its files is incomplete; empty for neither.
+        failure: reason why the view ended before the run, or its incomplete file; empty for neither.
 
     Raises:
         UsageError: Rerun is not installed, or the target makes no sense.

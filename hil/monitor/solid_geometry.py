@@ -52,8 +52,8 @@ def wheel_turns(steering_rad: Array, wheel_angle_rad: Array, geometry: WheelGeom
     """Quaternions (4, 4) wxyz from wheel to body: steered, then turned about the axle (y of the hub).
 
     Args:
-        steering_rad: measured, (4,).
-        wheel_angle_rad: (4,) positive drives ahead.
+        steering_rad: measured steering angles (4,).
+        wheel_angle_rad: wheel angles (4,); positive drives ahead.
         geometry: geometry of the wheels.
     """
     turned = [quat_from_rotvec([0.0, a, 0.0]).tolist() for a in np.remainder(wheel_angle_rad, 2.0 * math.pi)]
@@ -109,7 +109,7 @@ def ellipse_in_body(covariance: Array, heading_rad: float) -> Array:
     """Outline of the 95 % ellipse of the position, (33, 3), in the body, above the robot, m.
 
     Args:
-        covariance: (n, n), its first two rows and columns are position in wall axes, m^2.
+        covariance: covariance (n, n); its first two rows and columns are position in wall axes, m^2.
         heading_rad: heading of the body.
     """
     flat = covariance_ellipse(np.zeros(2), covariance) @ rotation2(heading_rad)

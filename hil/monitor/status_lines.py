@@ -24,7 +24,7 @@ class StatusStream(Sink):
     """Passes on pose and device states twice a second of the host's clock, also in virtual time.
 
     Args:
-        tell: receives `("live", figures)`, and `("held", how)` when a bench is closed.
+        tell: function that receives `("live", figures)`, and `("held", how)` when a bench is closed.
         clock: the host's.
     """
 

@@ -52,8 +52,8 @@ def wheel_segments(pose: Array, steering_rad: Array, geometry: WheelGeometry) ->
     """The four wheels seen from above as segments along their rolling direction, (4, 2, 2), wall, m.
 
     Args:
-        pose: (x m, y m, theta rad) in the wall frame, (3,).
-        steering_rad: (4,).
+        pose: pose (3,) in the wall frame: m, m, rad.
+        steering_rad: steering angles (4,).
         geometry: geometry of the wheels.
     """
     heading = steering_rad - geometry.steering_zero_rad
@@ -69,8 +69,8 @@ def speed_arrows(
     """Origins and vectors (4, 2) of the wheels' speeds, wall frame; one second of travel long.
 
     Args:
-        pose: (x m, y m, theta rad) in the wall frame, (3,).
-        steering_rad: (4,).
+        pose: pose (3,) in the wall frame: m, m, rad.
+        steering_rad: steering angles (4,).
         rate_rad_s: (4,) wheel rates.
         geometry: geometry of the wheels.
     """
@@ -86,7 +86,7 @@ def covariance_ellipse(pose: Array, covariance: Array) -> Array:
 
     Args:
         pose: (2,) or (3,) estimated position or pose.
-        covariance: (n, n), its first two rows and columns are position in wall axes, m^2.
+        covariance: covariance (n, n); its first two rows and columns are position in wall axes, m^2.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     angle = np.linspace(0.0, 2.0 * math.pi, _ELLIPSE_POINTS)
@@ -100,7 +100,7 @@ class Trail:
 
     Args:
         capacity: points kept at most.
-        spacing_m: a point nearer than this to the last one is not kept.
+        spacing_m: least distance of a point from the last one; nearer ones are not kept.
     """
 
     def __init__(self, capacity: int = 600, spacing_m: float = 0.002) -> None:

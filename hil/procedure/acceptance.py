@@ -84,8 +84,8 @@ class Acceptance:
     Attributes:
         source: the bench.
         now: date and time, ISO 8601.
-        on_stand: the operator has said that the wheels are free; otherwise the operator is asked.
-        operator: answers questions.
+        on_stand: True if the operator has said that the wheels are free; otherwise the operator is asked.
+        operator: operator that answers questions.
         report: progress.
         interrupts: signals.
         watch_s: time for which the doctor reads each device.

@@ -30,14 +30,15 @@ class BenchSource:
         bench: file, profile name or configuration.
         emulate: devices to emulate, `all`, or None for what the file says.
         seed: seed of the emulated world.
-        realtime: emulate devices at wire level, in real time.
+        realtime: True to emulate devices at wire level, in real time.
         faults: fault specs.
         overrides: dotted key -> value.
         calibration: file to apply.
         controller: the user's own controller for every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or
             `ros2:TOPIC` of a ROS 2 program (needs `publish`); empty for the law of bench and procedure.
         watch: sinks added to every bench opened from this source.
-        publish: makes one more sink from the header of a bench opened in this process; None for none.
+        publish: function that makes one more sink from the header of a bench opened in this process; None for
+            none.
     """
 
     bench: str | Path | BenchConfig = "emulated"

@@ -36,11 +36,11 @@ class Context:
     Attributes:
         procedure: name of the procedure.
         parameters: typed parameters of the procedure.
-        source: describes the bench, to open it again (`reopen`) or in another process.
+        source: source of the bench, to open it again (`reopen`) or in another process.
         folder: results folder of the run.
-        clock: measures computing time; the bench has its own clock.
+        clock: clock of the computing time; the bench has its own clock.
         started: date and time at which the run began, ISO 8601.
-        guard: ends a loop that exceeds its time limit or after a signal.
+        guard: guard that ends a loop that exceeds its time limit or after a signal.
         findings: results so far.
         teardown, early_end: titles and actions registered by `on_teardown` and `on_early_end`.
     """
@@ -153,7 +153,7 @@ class Context:
         """Add a table to the results; cells become text, floats get four significant digits.
 
         Args:
-            title: unique in the run.
+            title: title, unique in the run.
             head: one label per column.
             rows: cells, one per column.
             note: a sentence below the table.
@@ -168,7 +168,7 @@ class Context:
 
         Args:
             figure: figure, or a function that draws it; the function is called only if figures are kept.
-            title: unique in the run.
+            title: title, unique in the run.
             caption: description of what it shows.
 
         Raises:
@@ -239,7 +239,7 @@ class Context:
         """A step whose result is kept: a resumed run takes it from the journal instead of repeating it.
 
         Args:
-            title: unique within the run.
+            title: title, unique within the run.
             function: function that does the work; its measurements, files and figures are kept with its
                 result.
             timeout_s: longest time of the step, as for `step`.
@@ -289,7 +289,7 @@ class Context:
             what: name of the piece of work.
             done: amount done, in any unit.
             total: total amount, in the same unit.
-            whole: (done, total) of the whole run, if known; the time left is then computed from it.
+            whole: progress (done, total) of the whole run, if known; the time left is then computed from it.
         """
         if whole is not None:
             self._report(WHOLE, *whole)

@@ -34,7 +34,7 @@ class HoldRecord:
     """Collects the final hold report of each bench, and writes it to the journal.
 
     Args:
-        journal: receives a line for each bench.
+        journal: journal that receives a line for each bench.
         guard: its driven time shows whether the loop ran since a checkpoint was finished.
         past: journal entries about the benches of an interrupted run.
         finished: titles of the checkpoints that are not repeated; only their benches count.

@@ -54,7 +54,7 @@ class Lines(Operator):
     """Passes questions to a program, which writes one line to stdin for each.
 
     Args:
-        tell: receives `("question", text)`, and `("answered", text of the answer)`.
+        tell: function that receives `("question", text)`, and `("answered", text of the answer)`.
     """
 
     def __init__(self, tell: Callable[[str, str], None]) -> None:
@@ -102,7 +102,7 @@ def go_ahead(operator: Operator, question: str) -> str:
     """Ask the operator to do something and press Enter, until the answer confirms it; return the answer.
 
     Args:
-        operator: answers the question.
+        operator: operator that answers the question.
         question: instruction to the operator, and to press Enter then.
 
     Raises:

@@ -28,7 +28,7 @@ class DriveJob(Generic[Result]):
     """A bench to drive in another process.
 
     Attributes:
-        source: describes the bench, which is opened for this job and closed afterwards.
+        source: source of the bench, which is opened for this job and closed afterwards.
         drive: called with the open bench. The function and its result must be picklable.
         label: names the recording, `recording_LABEL.mcap`; empty for no recording.
     """
@@ -67,7 +67,7 @@ class Driven:
         world_ns, looked_ns, failed: same as `world_ns`, `looked_ns` and `lost` of the bench.
         hold, path, fit: histories for the figures and the last table of every report.
         events: events that the bench has seen, as rows of `hil.core.event_rows`.
-        lost: why the recording is missing or incomplete; empty if it is complete or was not wanted.
+        lost: reason why the recording is missing or incomplete; empty if it is complete or was not wanted.
         objection: recording error with which the run has to end; None for none.
     """
 

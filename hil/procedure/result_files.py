@@ -121,7 +121,8 @@ def judge(
         values: measured values by name.
         earlier: earlier values by name; a row without earlier values has no such key.
         measured_in: step of each measurement.
-        doubts: why a measurement is in doubt or missing, by name; a row without a doubt has no such key.
+        doubts: reason why a measurement is in doubt or missing, by name; a row without a doubt has no such
+            key.
         ended: True if the procedure reached its end; if so, a measurement that was never set fails.
     """
     rows = []

@@ -32,9 +32,9 @@ class Recordings:
     """All recordings of one run.
 
     Args:
-        results: receives names of recordings, and notes on incomplete ones.
+        results: outputs that receive names of recordings, and notes on incomplete ones.
         interrupts: signals, deferred while a note is written and a file is closed.
-        on_failure: see the attribute.
+        on_failure: reaction to a full disk, see the attribute.
 
     Attributes:
         on_failure: reaction to a full disk: `stop`, or `go-on`.
@@ -110,16 +110,16 @@ class RunBenches:
     """The benches that a run has opened.
 
     Args:
-        source, past: see the attributes.
+        source, past: attributes of the same names.
         results: outputs of the run: receives recordings, notes and figures.
         options: options of the run.
 
     Attributes:
-        source: describes the bench, to open it again (`reopen`) or in another process.
+        source: source of the bench, to open it again (`reopen`) or in another process.
         past: the interrupted run that this run resumes; None for a new run.
         opened: the bench if it is open.
         left_behind: True if a finished checkpoint left the emulated robot at another place.
-        guard: ends a loop that exceeds its time limit or after a signal.
+        guard: guard that ends a loop that exceeds its time limit or after a signal.
         left: final hold reports of the closed benches.
         world_ns: time of the emulated world when its bench was closed, ns; the latest of several worlds.
         looked_ns: the same for the end of the check of the stopped robot.

@@ -82,7 +82,7 @@ class Journal:
         on_failure: reaction to an entry that cannot be written: `stop`, or `go-on`.
 
     Attributes:
-        failure: why writing failed before the end of the run; empty if it did not.
+        failure: reason why writing failed before the end of the run; empty if it did not.
     """
 
     def __init__(self, path: Path, on_failure: OnFailure = "stop") -> None:

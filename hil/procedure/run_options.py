@@ -20,12 +20,12 @@ class RunOptions:
 
     Attributes:
         folder: results folder; new, or with the journal of an interrupted run if `resume` is set.
-        clock: measures durations.
+        clock: clock of durations.
         started: date and time, ISO 8601.
         parameters: texts of `--set` or typed values.
-        operator: answers prompts.
-        report: receives progress (what, done, total).
-        resume: continue from the journal in `folder`.
+        operator: operator that answers prompts.
+        report: function that receives progress (what, done, total).
+        resume: True to continue from the journal in `folder`.
         on_recording_failure: reaction to recordings or a journal that can no longer be written: `stop`, or
             `go-on`.
         interrupts: signal handling, which the caller also uses before and after the run.

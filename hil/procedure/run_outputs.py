@@ -58,12 +58,12 @@ class RunOutputs:
     """Collects the outputs of one run.
 
     Args:
-        folder, declared, journal, keep: see the attributes.
+        folder, declared, journal, keep: attributes of the same names.
 
     Attributes:
         folder: results folder of the run.
         declared: declared measurements; no others can be set.
-        journal: receives every output.
+        journal: journal that receives every output.
         keep: `results` for a run without figures.
         findings: outputs so far.
         titles: titles of the running steps, the innermost last.
@@ -280,7 +280,7 @@ def as_json(what: str, value: Any, default: Callable[[Any], Any] | None = None) 
     Args:
         what: description of the value for the error message.
         value: numbers, texts, lists and dictionaries.
-        default: converts a value of another type; raises `TypeError` if it cannot.
+        default: function that converts a value of another type; raises `TypeError` if it cannot.
 
     Raises:
         UsageError: JSON cannot represent the value.

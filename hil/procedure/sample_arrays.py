@@ -23,7 +23,7 @@ class Series:
         t_s: time of measurement, s since the motion's first cycle, shape (n,).
         host_s: time of arrival, same axis, shape (n,).
         device_s: time of the device's own clock since its first sample, s; NaN without a device clock.
-        values: (n, k).
+        values: values (n, k) of the samples.
         seen: number of received samples, usable or not.
     """
 

@@ -25,7 +25,7 @@ def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, stee
     """Enable the servos, run a script of joint commands, hold; odometry tracks the robot's pose.
 
     Args:
-        bench: open.
+        bench: open bench.
         stretches: parts of the script, in order.
         start_pose: pose of the robot, (3,); the supervisor's limits on heading and distance apply.
         steering_rad: current steering angles, (4,).

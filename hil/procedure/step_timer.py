@@ -146,7 +146,7 @@ class RunRecorder(McapRecorder):
         path: file of the recording.
         header: JSON values.
         interrupts: signals, deferred while a note is written and the file is closed.
-        lossless: drop no records, for virtual time.
+        lossless: True to drop no records, for virtual time.
         on_failure: reaction to a full disk: `stop`, or `go-on`.
     """
 

@@ -223,7 +223,7 @@ def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, 
 
     Args:
         runs: name of the feedback to its `series`.
-        seen: (along X, along Y), whether a cell was seen.
+        seen: array (along X, along Y): True for each cell that was seen.
         start: (3,) pose at the rectangle's corner, wall frame.
         length_m: length of the rectangle along X.
     """

@@ -93,7 +93,8 @@ class RecordingFile:
 
     Args:
         path: file to write.
-        header: kept as JSON; contains the clock offset and the mounts of sensors and wheels.
+        header: header of the recording, kept as JSON; contains the clock offset and the mounts of sensors and
+            wheels.
 
     Attributes:
         flushed, unflushed: numbers of cycles handed to the operating system, and in the open chunk.

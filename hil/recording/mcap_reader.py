@@ -177,7 +177,8 @@ def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator
 
     Args:
         path: the MCAP file.
-        problems: receives what could not be read. Without it, damage raises after the last readable cycle.
+        problems: list that receives what could not be read. Without it, damage raises after the last readable
+            cycle.
 
     Raises:
         DataError: see `RecordingReader`; also damage when `problems` is None.

@@ -105,7 +105,7 @@ def messages_of(path: Path, wanted: Callable[[Any], bool], problems: list[str]) 
     Args:
         path: an MCAP file.
         wanted: function from a channel to True if its messages are wanted.
-        problems: receives a message for each part that cannot be read.
+        problems: list that receives a message for each part that cannot be read.
 
     Raises:
         DataError: the file cannot be read or is not MCAP.

@@ -38,7 +38,7 @@ class McapRecorder(Sink):
     Args:
         path: file to write; its folder must exist.
         header: configuration, calibration, seed, versions; kept as JSON.
-        lossless: write in the caller's thread and drop nothing (virtual time); otherwise a thread
+        lossless: True to write in the caller's thread and drop nothing (virtual time); otherwise a thread
             writes and a full queue drops the newest record.
         on_failure: reaction of the loop to a lost cycle: `stop`, or `go-on` unrecorded.
         capacity: records that may wait.
@@ -46,7 +46,7 @@ class McapRecorder(Sink):
     Attributes:
         dropped: cycles refused because the writer could not keep up.
         lost: cycles that were taken and then lost to a failed write or a malformed record.
-        failure: why writing ended or a record was lost; empty if all is well.
+        failure: reason why writing ended or a record was lost; empty if all is well.
 
     Raises:
         DataError: the file cannot be created.

@@ -49,8 +49,8 @@ def pose_numbers(position_m: Sequence[float] | Array, q_wxyz: Sequence[float] | 
     """(7,) of a pose as ROS 2 orders it: position m, quaternion with w last.
 
     Args:
-        position_m: (3,).
-        q_wxyz: (4,), w first.
+        position_m: position (3,).
+        q_wxyz: quaternion (4,), w first.
     """
     w, x, y, z = _floats(q_wxyz)
     return (*_floats(position_m), x, y, z, w)
@@ -74,7 +74,7 @@ class MessageMaker:
 
     Args:
         wall_ns: wall-clock time at the bench clock's zero.
-        named: maps a frame, or another text given to `numbers`, to its name in the message.
+        named: function from a frame, or another text given to `numbers`, to its name in the message.
     """
 
     def __init__(self, wall_ns: int = 0, named: Callable[[str], str] = str) -> None:

@@ -98,7 +98,7 @@ def read_runs(path: str | Path, problems: list[str] | None = None) -> Iterator[R
 
     Args:
         path: the MCAP file.
-        problems: receives what could not be read; without it damage raises after the last run.
+        problems: list that receives what could not be read; without it damage raises after the last run.
 
     Raises:
         DataError: see `RecordingReader`.

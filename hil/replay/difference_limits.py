@@ -156,8 +156,8 @@ def difference(a: float, b: float, limit: Limit) -> float:
     """How far two numbers are apart, as their limit counts it.
 
     Args:
-        a: recorded.
-        b: computed again.
+        a: recorded number.
+        b: number computed again.
         limit: limit of their quantity.
 
     Returns:

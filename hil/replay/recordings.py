@@ -130,7 +130,7 @@ def open_recording(
     """Detect the kind of a recording, and rebuild the bench that made it.
 
     Args:
-        path: one of ours (`.mcap`), a bag of another robot (with `topics`), or CSV.
+        path: path of one of ours (`.mcap`), a bag of another robot (with `topics`), or CSV.
         bench: bench file or profile instead of the recording's own.
         calibration: wheel geometry instead of the recording's own.
         topics: topic mapping of a bag.

@@ -90,7 +90,7 @@ def verify_cycle(
 
     Args:
         cycle: cycle as recorded.
-        pipeline: rebuilt for the run.
+        pipeline: pipeline, rebuilt for the run.
         agreement: largest differences so far, to which those of this cycle are added.
         exact: True if every bit must be equal.
 

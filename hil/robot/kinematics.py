@@ -47,7 +47,7 @@ class WheelGeometry:
     Attributes:
         x_m, y_m: contact points in the body frame.
         radius_m: effective rolling radii.
-        steering_zero_rad: subtract it from a measured steering angle to get the wheel's heading.
+        steering_zero_rad: zero to subtract from a measured steering angle to get the wheel's heading.
         load: normal loads relative to their mean; used by `dry-friction` and `creep`.
         creep_ratio: sideways over lengthwise creep stiffness of the tyres; used by `creep` only.
     """

@@ -175,8 +175,8 @@ def _held(pose: Array, twist: Array, pull: Array, projection: Array, limits: Mot
     """The limited quantities, in the order in which they are reported.
 
     Args:
-        pose: (n, 3) in the wall frame.
-        twist: (n, 3) in the body frame.
+        pose: poses (n, 3) in the wall frame.
+        twist: twists (n, 3) in the body frame.
         pull: (n, 3) accelerations in wall axes.
         projection: P (8, 3) of the wheels.
         limits: limits to apply.

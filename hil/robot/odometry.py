@@ -60,7 +60,7 @@ def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Arr
     Args:
         at_s: (n,) instants, s.
         edges_s: (b + 1,) edges of the blocks, s.
-        poses: (b or more, 3) at the edges, wall frame.
+        poses: poses (b or more, 3) at the edges, wall frame.
         motion: (b, 3) body displacement in each block.
     """
     k = np.clip(np.searchsorted(edges_s, at_s, side="right") - 1, 0, len(motion) - 1)
@@ -113,7 +113,7 @@ def integrate_with_jacobian(
     The start has no derivative and is left out of the derivatives.
 
     Args:
-        start_pose: (..., 3), taken as independent of the parameters.
+        start_pose: start pose (..., 3), taken as independent of the parameters.
         motion_body: (..., n, 3) displacement per step.
         motion_jacobian: (3, m, ..., n) derivatives of `motion_body`.
     """
@@ -156,8 +156,8 @@ def state_jacobian(
 
     Args:
         geometry: wheel parameters.
-        state: (11,), as for `state_derivative`.
-        inputs: (8,), likewise.
+        state: state (11,), as for `state_derivative`.
+        inputs: inputs (8,), likewise.
         model: `exact` or `paper`.
     """
     s, w = np.asarray(state, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
@@ -179,7 +179,7 @@ def input_jacobian(geometry: WheelGeometry, state: ArrayLike, model: str = "exac
 
     Args:
         geometry: wheel parameters.
-        state: (11,), as for `state_derivative`.
+        state: state (11,), as for `state_derivative`.
         model: `exact` or `paper`.
     """
     s = np.asarray(state, dtype=np.float64)

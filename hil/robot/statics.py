@@ -25,7 +25,7 @@ class Statics:
         wheel_x_m, wheel_y_m: (4,) contact points in the body.
         mass_kg, centre_of_mass_m: nominal values; x, y, height above the surface.
         propeller_height_m: height at which the propellers push.
-        tilt_rad: 0 floor, pi/2 wall, more overhangs.
+        tilt_rad: tilt of the surface: 0 floor, pi/2 wall, more overhangs.
         friction: coefficient of friction between tyre and surface.
     """
 

@@ -191,9 +191,9 @@ def line(
         end: last pose.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
-        duration_s: replaces the duration from the limits (and is checked later).
+        duration_s: duration in place of that from the limits (checked later).
         law: `quintic` or `constant`.
-        name: shown in results.
+        name: name shown in results.
 
     Raises:
         UsageError: an invalid pose, two equal poses, or a duration, speed or acceleration not above 0.
@@ -224,7 +224,7 @@ def rotation(
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
         law: `quintic` or `constant`.
-        name: shown in results.
+        name: name shown in results.
     """
     pose = _checked(start, "start")
     end = pose + np.array([0.0, 0.0, angle_rad])
@@ -252,7 +252,7 @@ def circle(
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
         law: `quintic` or `constant`.
-        name: shown in results.
+        name: name shown in results.
     """
     angle = 2.0 * math.pi * turns
     turn = angle if tangent else 0.0
@@ -281,7 +281,7 @@ def scan(
         spacing_m: distance between neighbouring lanes.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
-        name: shown in results.
+        name: name shown in results.
 
     Raises:
         UsageError: fewer than one lane.
@@ -309,7 +309,7 @@ def through(
         poses: (3,) each, (x m, y m, theta rad) in the wall frame.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
-        name: shown in results.
+        name: name shown in results.
 
     Raises:
         UsageError: fewer than two poses.

@@ -39,7 +39,7 @@ class Exchange:
 
     Args:
         topic: topic of its commands.
-        shown: publishes the cycles.
+        shown: publisher of the cycles.
         config: `[ros2]` of the bench file.
         clock: clock of the host.
         wall_ns: ROS time at the bench clock's zero.

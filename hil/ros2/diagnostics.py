@@ -19,7 +19,7 @@ class Diagnostics:
 
     Args:
         name: name of the bench; goes into the messages as the hardware.
-        ros: makes and stamps messages.
+        ros: maker of messages with stamps.
     """
 
     def __init__(self, name: str, ros: MessageMaker) -> None:

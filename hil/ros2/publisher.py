@@ -107,7 +107,7 @@ class _Messages:
     """Makes and sends the messages of one bench.
 
     Args:
-        publisher: sends them.
+        publisher: publisher that sends them.
         header: header of the bench, as its recordings have it.
         wall_ns: ROS time at the bench clock's zero.
         passed: called with the ROS time of every cycle; None in real time, where there is no `/clock`.

@@ -91,7 +91,7 @@ def jog_drives(bench: Bench, source: str, steering_rad: float, rate_rad_s: float
     """Roll the wheels out and back, one after the other, all steered to one angle.
 
     Args:
-        bench: open and enabled.
+        bench: open bench with enabled servos.
         source: device whose poses show the body's motion, `mocap` or `tracker`.
         steering_rad: steering angle of all wheels.
         rate_rad_s: rate of the wheel.

@@ -53,7 +53,7 @@ def joined(warnings: Sequence[str], names: Collection[str]) -> list[str]:
     """Return warnings of a calibration without a full stop; merge equal ones about several recordings.
 
     Args:
-        warnings: each about one recording, `NAME: text`, or about the calibration.
+        warnings: warnings, each about one recording, `NAME: text`, or about the calibration.
         names: names of the recordings.
     """
     names_by_text: dict[str, list[str]] = {}

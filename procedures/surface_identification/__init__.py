@@ -231,7 +231,7 @@ def repetition(
     repetition, so that two worlds of one seed do not repeat each other's noise.
 
     Args:
-        bench: freshly opened.
+        bench: bench that was freshly opened.
         p: parameters of the run.
         number: number of the repetition, from 1.
         on_line: called with the number of driven lines, and of all lines.

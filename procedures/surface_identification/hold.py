@@ -21,7 +21,7 @@ def hold_angle(ctx: Context, low: float, high: float, step: float, sense: float)
         low: smallest heading, deg.
         high: largest heading, deg.
         step: largest distance of the two ends, deg.
-        sense: 1 to the left, -1 to the right.
+        sense: side: 1 to the left, -1 to the right.
 
     Returns:
         Headings in deg: the second is None if the robot still stood at the largest heading, the first if it

@@ -66,7 +66,7 @@ class Extrinsics:
         late_s, late_uncertainty_s: delay of the camera's stamps behind the truth, and its uncertainty.
         position_rms_m, angle_rms_rad: RMS residuals, per interval and axis.
         outliers: share of intervals beyond four sigma.
-        covariance: (7, 7) of x, y, roll, pitch, yaw, scale, lateness: m, m, rad, rad, rad, 1, s.
+        covariance: covariance (7, 7) of x, y, roll, pitch, yaw, scale, lateness: m, m, rad, rad, rad, 1, s.
     """
 
     position_m: Array

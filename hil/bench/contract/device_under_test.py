@@ -41,7 +41,7 @@ class Delivered:
     """Data from a device while it was open: samples, identity, and durations of the reads.
 
     Attributes:
-        samples: oldest first.
+        samples: samples, the oldest first.
         identity: identity that the device reports.
         began_ns, ended_ns: bench time.
         took_s: duration of each read.
@@ -61,8 +61,8 @@ class Subject:
     Attributes:
         bench: bench of the device.
         kind: the device's kind.
-        anew: makes the same bench again, from its beginning; None if a run cannot be repeated, because a part
-            of it runs in real time.
+        anew: function that makes the same bench again, from its beginning; None if a run cannot be repeated,
+            because a part of it runs in real time.
     """
 
     bench: Bench

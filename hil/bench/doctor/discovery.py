@@ -121,7 +121,7 @@ def discover(
         left_alone: ports among them to which nothing is written, and why.
         given: tables of devices to search that are not on a serial port (CAN buses to listen on, capture
             servers), by kind; by default those that the system lists.
-        say: receives progress.
+        say: function that receives progress.
         sysfs: folder in which the kernel describes its devices.
     """
     found = Discovery(not_asked=dict(left_alone or {}))

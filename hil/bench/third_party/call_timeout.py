@@ -149,7 +149,7 @@ def leave(error: Callable[[str], HilError]) -> None:
     Until then it may return by itself, so that a healthy device finishes opening before it is closed.
 
     Args:
-        error: makes the error that the call raises, from a description of the call.
+        error: function that makes the error that the call raises, from a description of the call.
     """
     call = _RUNNING.get(threading.get_ident())
     if call is not None and call.limit.may_be_left:

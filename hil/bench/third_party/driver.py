@@ -188,7 +188,8 @@ class ThirdPartyDriver:
     Args:
         kind: the device's kind.
         model: the device's model.
-        make: makes the driver; if it fails, `open` raises its error, and other devices can still be examined.
+        make: function that makes the driver; if it fails, `open` raises its error, and other devices can
+            still be examined.
         failures: errors of emulated devices so far, by kind (`hil.bench.third_party.emulated`).
         timeouts_s: sum of the timeouts in its table of the bench file; opening may take as long.
 

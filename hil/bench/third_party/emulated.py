@@ -41,7 +41,7 @@ class ThirdPartyPart(Scheduled):
     """Wraps a part of the world that another package provides, or that runs a chip of that package.
 
     Args:
-        world: stores its failure.
+        world: world that stores its failure.
         kind: the device's kind.
         model: the device's model.
         part: the package's part.

@@ -55,7 +55,7 @@ class Origin:
         Args:
             robot: robot that is to use it.
             path: path of the file.
-            of_this_robot: the user confirms that a file without an identity is of this robot.
+            of_this_robot: True if the user confirms that a file without an identity is of this robot.
 
         Raises:
             ConfigError: it is of another robot, or of an unknown one without that confirmation.

@@ -19,7 +19,7 @@ class Register:
         values: the only permitted raw counts, empty when a range holds.
         limit: name of the register that bounds the absolute value, or empty.
         unit, scale: SI unit, and SI value of one count (1 and no unit for flags).
-        firmware: the first that has the register; 0 for every one.
+        firmware: first firmware that has the register; 0 for every one.
     """
 
     name: str

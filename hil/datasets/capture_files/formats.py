@@ -18,8 +18,8 @@ class Format:
     Attributes:
         name: name of the format, for messages.
         up: axis that such files usually have upwards.
-        is_it: tells by the first 4096 characters of a file whether it is of this format.
-        read: reads the poses of each body from a file's name and text.
+        is_it: function that tells by the first 4096 characters of a file whether it is of this format.
+        read: function that reads the poses of each body from a file's name and text.
     """
 
     name: str

@@ -20,7 +20,7 @@ class Poses:
 
     Attributes:
         t_s: (n,) times, s.
-        position_m: (n, 3), m; NaN where the body was not seen.
+        position_m: positions (n, 3), m; NaN where the body was not seen.
         rotation_wxyz: (n, 4) unit quaternions.
     """
 

@@ -53,7 +53,8 @@ class MotorFan(DaemonMotor[C, AdhesionSample]):
     Args:
         config: bus, id, ratings.
         clock: the bench clock.
-        make_commander: makes the motor commander from (spec, clock); the daemon's client when None.
+        make_commander: function that makes the motor commander from (spec, clock); the daemon's client when
+            None.
     """
 
     name = "adhesion"

@@ -34,7 +34,8 @@ class DaemonMotor(Holding[S], Generic[C, S]):
     Args:
         config: bus, ids, ratings.
         clock: the bench clock.
-        make_commander: makes the motor commander from (spec, clock); the daemon's client when None.
+        make_commander: function that makes the motor commander from (spec, clock); the daemon's client when
+            None.
 
     Attributes:
         noun: name of the device in messages, such as `the fan`.

@@ -145,8 +145,8 @@ def discover_controllers(
         link: open bus.
         config: configuration of the wanted controller.
         clock: the bench clock.
-        answers: receives the settings of the controller.
-        listen_only: send nothing.
+        answers: collector of the settings of the controller.
+        listen_only: True to send nothing.
     """
     seen = BusReplies()
     if not listen_only:

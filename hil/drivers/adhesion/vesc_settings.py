@@ -51,7 +51,7 @@ class Answers:
 
     Attributes:
         firmware: `6.05`, once reported.
-        settings: once reported.
+        settings: settings, once reported.
     """
 
     def __init__(self) -> None:

@@ -42,7 +42,7 @@ class NatNetMocap(Sensor[MocapSample]):
     Args:
         config: addresses, body, axes, limits.
         clock: the bench clock.
-        datagrams: opens UDP ports; real ones by default.
+        datagrams: function that opens UDP ports; real ones by default.
     """
 
     name = "mocap"

@@ -23,7 +23,7 @@ class Handshake:
         config: the wanted version and rigid body.
         clock: the bench clock.
         name: device name in errors.
-        silent: makes the error for a silent server.
+        silent: function that makes the error for a silent server.
     """
 
     def __init__(

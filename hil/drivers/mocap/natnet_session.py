@@ -109,7 +109,7 @@ class Session:
     Args:
         config: addresses.
         clock: the bench clock.
-        datagrams: opens ports; raises `OSError`.
+        datagrams: function that opens ports; raises `OSError`.
 
     Attributes:
         server: its description, None until it has answered.

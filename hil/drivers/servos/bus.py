@@ -51,7 +51,7 @@ class Bus:
     The bus is half-duplex: while the answer to a request sent ahead is under way, other packets wait.
 
     Args:
-        port: opened by the caller.
+        port: port, opened by the caller.
         clock: the bench clock.
         device: name in errors.
     """

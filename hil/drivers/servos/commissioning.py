@@ -40,8 +40,9 @@ class FoundServo:
     Attributes:
         servo_id, baud: ID and baud rate at which it answers.
         model, firmware: model number and firmware that it reports.
-        operating_mode: -1 where it could not be read: no answer, or a model without a control table.
-        return_delay_s: 0 where it could not be read.
+        operating_mode: operating mode; -1 where it could not be read: no answer, or a model without a control
+            table.
+        return_delay_s: return delay; 0 where it could not be read.
     """
 
     servo_id: int
@@ -136,7 +137,7 @@ def set_up(
         new_id: its new ID; written after the registers.
         new_baud: its new baud rate; written last.
         registers: further EEPROM registers by name, raw counts.
-        dry_run: read and check only; nothing is written.
+        dry_run: True to read and check only; nothing is written.
 
     Returns:
         (before, after) by name of every register that was to be written.

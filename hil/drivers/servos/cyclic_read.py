@@ -77,7 +77,7 @@ class CycleReader:
         config: IDs and budgets.
         registers: register map of the servos' model.
         clock: the bench clock.
-        fast: use fast sync reads.
+        fast: True to use fast sync reads.
         mapped: full reads go through the map of indirect addresses.
     """
 

@@ -27,8 +27,8 @@ class KeepAlive:
 
     Args:
         clock: the bench clock.
-        lock: held while the servos are talked to, not re-entrant; this never waits for it.
-        visit: polls once, called with the lock held; returns whether all is well.
+        lock: lock that is held while the servos are talked to, not re-entrant; this never waits for it.
+        visit: function that polls once, called with the lock held; returns whether all is well.
         watchdog_s: time of the servos' watchdog; 0 without one.
     """
 

@@ -208,7 +208,7 @@ class GoalWrite:
 
     Args:
         ids: IDs of the eight servos.
-        addresses: one for all of them makes a sync write, one for each a bulk write.
+        addresses: addresses: one for all of them makes a sync write, one for each a bulk write.
     """
 
     def __init__(self, ids: Sequence[int], addresses: Sequence[int] | int) -> None:

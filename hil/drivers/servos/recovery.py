@@ -44,7 +44,7 @@ class RamRecovery:
         config: IDs, registers and watchdog of the bench.
         registers: register map of the servos' model.
         device: name in errors and logs.
-        fast: use fast sync reads.
+        fast: True to use fast sync reads.
 
     Attributes:
         mapped: True if all servos have the goal map, so that goals go through indirect data.
@@ -194,7 +194,7 @@ class RamRecovery:
         Args:
             state: (torque, watchdog) by joint, from `audit` or `judge`.
             goals: (8,) raw goals at which the robot is held.
-            paused: there was no request for longer than the watchdog's time: it was expected to trip.
+            paused: True if there was no request for longer than the watchdog's time: it was expected to trip.
         """
         if not self.torque:
             return ()

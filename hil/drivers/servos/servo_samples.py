@@ -132,7 +132,7 @@ class Samples:
     Args:
         registers: register map of the servos' model.
         blocks: their registers as read at open.
-        upkeep: reads and stores hardware errors.
+        upkeep: recovery that reads and stores hardware errors.
         clock: clock for the time at which a sample had arrived.
         device: name in logs.
 

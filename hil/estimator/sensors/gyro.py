@@ -60,7 +60,7 @@ class Parameters(Record):
         rate: variance of the rate, rad^2/s^2.
         gravity, gravity_pulled: variance of the gravity heading, rad^2, and its increase per squared body
             acceleration, rad^2/(m/s^2)^2.
-        gravity_used: 1 where the gravity heading is used, else 0.
+        gravity_used: flag: 1 where the gravity heading is used, else 0.
     """
 
     rate: float

@@ -53,11 +53,12 @@ class Parameters(Record):
     """Parameters of the camera's kernels.
 
     Attributes:
-        used: 1 where the camera is used, else 0.
+        used: flag: 1 where the camera is used, else 0.
         position, heading: variances of a pose, m^2 and rad^2.
         quality: least quality of a usable pose.
         baseline_s: time after which the frame is started again; 0: never.
-        jump_m, jump_rad, fastest_m_s, fastest_rad_s: a step beyond jump + fastest * time is a jump.
+        jump_m, jump_rad, fastest_m_s, fastest_rad_s: limits of a step: beyond jump + fastest * time it is a
+            jump.
     """
 
     used: float

@@ -80,11 +80,11 @@ class Parameters(Record):
     Attributes:
         step, per_m, per_s, steering: variances of a displacement: m^2, m^2/m, m^2/s, m^2/rad^2.
         longest_gap_s: longest interval that counts as one displacement.
-        from_rate: 1 where the displacement comes from the rate, 0 from the angle.
-        rows: 8 equations, or 3 of one body displacement.
+        from_rate: flag: 1 where the displacement comes from the rate, 0 from the angle.
+        rows: number of rows: 8 equations, or 3 of one body displacement.
         friction_window_s: time constant of `hil.estimator.wheel_friction`; 0: least squares.
-        creeping: 1 for creep, 0 for dry friction.
-        scaled: 1 where the scale state belongs to the wheels, else 0.
+        creeping: flag: 1 for creep, 0 for dry friction.
+        scaled: flag: 1 where the scale state belongs to the wheels, else 0.
         known: slip per rolled metre when driving up, down, left and right: wall x, wall y (m/m), turn
             (rad/m).
         contacts: the wheels on the surface.

@@ -13,7 +13,7 @@ class Load:
     Args:
         working_n: total true force at the working point.
         gain: ratio of the true force to the force by the ratings.
-        apply: receives the force in N that acts on the robot.
+        apply: function that receives the force in N that acts on the robot.
         motors: number of motors; each gives an equal share.
     """
 

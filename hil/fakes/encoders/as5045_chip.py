@@ -66,7 +66,7 @@ def chip(
         once: amplitude and phase (rad) of the error of an eccentric magnet, once per turn.
         twice: the same for the error twice per turn.
         noise_rad: standard deviation of the transition noise.
-        sign: 1 or -1, the direction in which the magnet is mounted.
+        sign: sign, 1 or -1, of the direction in which the magnet is mounted.
         zero_rad: chip angle at joint angle 0.
     """
     return [*once, *twice, noise_rad, sign, zero_rad, 0.0, 0.0, 0.0]
@@ -77,7 +77,7 @@ def word(chips: Array, at: int, angle_rad: float, noise: float, more: int) -> in
     """Return the word of one chip.
 
     Args:
-        chips: (10 n,), `CHIP_SIZE` numbers per chip.
+        chips: numbers (10 n,) of the chips, `CHIP_SIZE` each.
         at: index of the chip's first number.
         angle_rad: true angle of the axis.
         noise: a standard normal random number.
@@ -103,7 +103,7 @@ def words(
     """Return the words of four chips; see `word`.
 
     Args:
-        chips: (4 `CHIP_SIZE`,).
+        chips: numbers (4 `CHIP_SIZE`,) of the chips.
         a_rad: angle of the first axis.
         b_rad: angle of the second axis.
         c_rad: angle of the third axis.

@@ -44,16 +44,16 @@ def make_mujoco_plant(
         robot: nominal robot.
         surface: preset (`floor`, `concrete`, `melamine`, `patchy`) or one of your own; friction and patches.
         contact: `creep`, `holding`, or one of your own.
-        tilt_rad: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
-        start_pose: (3,) in the wall frame.
+        tilt_rad: tilt of the surface: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
+        start_pose: start pose (3,) in the wall frame.
         servos: model of its servos; XH430-W210 by default.
         rng: source of the truth's deviations from nominal.
         randomise_truth: True if the truth deviates from nominal.
-        geometry_share: see `hil.fakes.plant.parameters.draw`.
-        faults: see `SteppedBody`.
+        geometry_share: share of the drawn deviations, see `hil.fakes.plant.parameters.draw`.
+        faults: fault plan, see `SteppedBody`.
         mjcf: file of the user's own robot, which gives masses and places of wheels.
         step_s: internal step; by default that of the user's file, or 1 ms.
-        by_hand: see `SteppedBody`.
+        by_hand: True for a robot held by hand, see `SteppedBody`.
 
     Raises:
         ConfigError: MuJoCo is missing, or the file does not describe a suitable robot.

@@ -59,7 +59,7 @@ class Built:
 
     Attributes:
         model, data: MuJoCo's `MjModel` and `MjData`.
-        places: (1,) of `Places`, indices into MuJoCo's vectors.
+        places: array (1,) of `Places`: indices into MuJoCo's vectors.
         fan, thrust, turn: actuators of adhesion (N), both propellers (N) and their imbalance (N m).
         wheel_of: wheel index by geom index.
         radius_m: (4,) rolling radii of the wheels.

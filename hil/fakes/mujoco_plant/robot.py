@@ -40,8 +40,8 @@ class MujocoRobot(SteppedBody):
         built: the compiled model.
         parameters: true parameters; positions and radii of the wheels are read from the model.
         patches: areas with other friction.
-        tilt_rad, faults, by_hand: see `SteppedBody`.
-        start_pose: (3,) of the body in the wall frame; it starts at rest.
+        tilt_rad, faults, by_hand: arguments of `SteppedBody`.
+        start_pose: pose (3,) of the body in the wall frame; it starts at rest.
 
     Attributes:
         parameters: true parameters of the model. The rolling radii of its wheels are smaller than the built

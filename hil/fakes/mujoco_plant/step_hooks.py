@@ -37,12 +37,13 @@ def prepare(
     """Prepare the next step.
 
     Args:
-        robots: (1,) of `MujocoRecord`; its body, joints, wheel headings, slip and fall state are updated.
-        patches: (m,) of `PatchRecord`.
+        robots: array (1,) of `MujocoRecord`; its body, joints, wheel headings, slip and fall state are
+            updated.
+        patches: array (m,) of `PatchRecord`.
         qpos: MuJoCo's positions.
         qvel: MuJoCo's velocities.
         ctrl: MuJoCo's actuator inputs; written.
-        friction: (4, 5) of the four contact pairs; written.
+        friction: friction (4, 5) of the four contact pairs; written.
 
     Returns:
         MuJoCo's `impratio` for the step, or `CHECK_STATE`.

@@ -34,12 +34,12 @@ class SteppedBody(Plant):
 
     Args:
         parameters: true parameters of the robot.
-        robots: (1,) of `Robot`, or of a record that extends it; constants and state are filled in.
-        tilt_rad: 0 floor, pi/2 wall, more for overhanging surfaces.
-        faults: supports `adhesion_loss` of device `plant`, with `factor` (0) of the adhesion left, reached
-            linearly within `over_s` (0).
+        robots: array (1,) of `Robot`, or of a record that extends it; constants and state are filled in.
+        tilt_rad: tilt of the surface: 0 floor, pi/2 wall, more for overhanging surfaces.
+        faults: fault plan; supports `adhesion_loss` of device `plant`, with `factor` (0) of the adhesion
+            left, reached linearly within `over_s` (0).
         step_ns: internal step.
-        by_hand: the robot is held by hand, without any motion, until the first motor has torque.
+        by_hand: True for a robot held by hand, without any motion, until the first motor has torque.
     """
 
     def __init__(

@@ -97,7 +97,7 @@ class State(Record):
     Attributes:
         body, velocity: x, y of the centre of mass and heading, and their rates, wall axes.
         origin: motion of the body's origin.
-        fallen: 1 after a fall, else 0.
+        fallen: flag: 1 after a fall, else 0.
         slid: sliding distance with no wheel holding.
         angle, rate, amps: angle, rate and current of the joints.
         integral, reference: states of the joints' velocity and position loops.

@@ -49,7 +49,8 @@ class JointParameters:
     """Motor, gear and firmware gains of the eight servos, at the output; drives, then steers.
 
     Attributes:
-        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: (8,) of the servo model (ROBOTIS e-Manual).
+        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: constants (8,) of the servo model (ROBOTIS
+            e-Manual).
         inertia_kg_m2: (8,) rotor and gear.
         coulomb_n_m, viscous_n_m_s: (8,) gear friction; they reproduce the no-load rows of the data sheet.
         velocity_p_v_s_rad, velocity_i_v_rad: velocity loop, tuned to the recorded stops.
@@ -74,7 +75,7 @@ class TrueParameters:
     """True parameters of one emulated robot on one surface.
 
     Attributes:
-        wheel_x_m, wheel_y_m, wheel_radius_m: (4,).
+        wheel_x_m, wheel_y_m, wheel_radius_m: contact points in the body, and radii, (4,).
         steering_offset_rad: (4,) wheel heading minus servo angle (without play).
         mass_kg, centre_of_mass_m, yaw_inertia_kg_m2: true values of the keys of `RobotConfig`.
         adhesion_n: force towards the surface, 0 while the fan is off.

@@ -35,7 +35,7 @@ class RecordedMotion:
 
     Attributes:
         name: name for messages.
-        t_s: (n,) increasing; `pose_t_s` (m,) has the same zero.
+        t_s: increasing stamps (n,); `pose_t_s` (m,) has the same zero.
         joint_rad: (n, 8) servo angles, order `hil.core.signals.SERVOS`.
         pose: (m, 3) body in wall: m, m, rad unwrapped.
     """

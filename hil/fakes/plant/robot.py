@@ -30,8 +30,8 @@ class WallRobot(SteppedBody):
     Args:
         parameters: true parameters of the robot.
         patches: areas with other friction.
-        tilt_rad, faults, step_ns, by_hand: see `SteppedBody`.
-        start_pose: (3,) of the body in the wall frame; it starts at rest.
+        tilt_rad, faults, step_ns, by_hand: arguments of `SteppedBody`.
+        start_pose: pose (3,) of the body in the wall frame; it starts at rest.
     """
 
     def __init__(
@@ -143,7 +143,8 @@ def true_parameters(
         tilt_rad: tilt of the surface.
         servos: model of its servos; XH430-W210 when None.
         rng: source of the truth's deviations from nominal.
-        geometry_share: see `hil.fakes.plant.parameters.draw`; None for nominal parameters.
+        geometry_share: share of the drawn deviations, see `hil.fakes.plant.parameters.draw`; None for nominal
+            parameters.
     """
     model = servo_model(DEFAULT_MODEL) if servos is None else servos
     nominal = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2, model)
@@ -169,15 +170,15 @@ def make_plant(
     Args:
         robot: nominal robot.
         surface: preset (`floor`, `concrete`, `melamine`, `patchy`) or one of your own.
-        tilt_rad: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
-        start_pose: (3,) in the wall frame.
+        tilt_rad: tilt of the surface: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
+        start_pose: start pose (3,) in the wall frame.
         servos: model of its servos; XH430-W210 by default.
         rng: source of the truth's deviations from nominal.
         randomise_truth: True if the truth deviates from nominal.
-        geometry_share: see `hil.fakes.plant.parameters.draw`.
-        faults: see `WallRobot`.
-        step_ns: see `WallRobot`.
-        by_hand: see `WallRobot`.
+        geometry_share: share of the drawn deviations, see `hil.fakes.plant.parameters.draw`.
+        faults: fault plan, see `WallRobot`.
+        step_ns: internal step, see `WallRobot`.
+        by_hand: True for a robot held by hand, see `WallRobot`.
 
     Raises:
         UsageError: unknown surface or impossible pose.

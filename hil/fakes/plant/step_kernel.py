@@ -204,8 +204,8 @@ def advance(robots: Records, patches: Records, n: int, adhesion_factor: float) -
     """Integrate `n` steps; `acceleration` is the origin's mean over the last one, body axes.
 
     Args:
-        robots: (1,) of `Robot`; its state changes.
-        patches: (m,) of `PatchRecord`.
+        robots: array (1,) of `Robot`; its state changes.
+        patches: array (m,) of `PatchRecord`.
         n: steps, may be 0.
         adhesion_factor: factor on the fan's force.
     """

@@ -13,7 +13,7 @@ class Patch:
 
     Attributes:
         x_min_m, y_min_m, x_max_m, y_max_m: corners in the wall frame.
-        friction_factor: multiplies the surface's friction coefficient.
+        friction_factor: factor on the surface's friction coefficient.
     """
 
     x_min_m: float

@@ -46,7 +46,7 @@ class RegisterRow:
 
     Attributes:
         address, end: address of the first byte, and of the byte after the last.
-        pack: packs one value per register.
+        pack: function that packs one value per register.
     """
 
     def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:

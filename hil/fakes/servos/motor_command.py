@@ -128,7 +128,7 @@ class PositionRegister:
 
     Attributes:
         encoder: last measured counts.
-        sign: -1 in reverse mode.
+        sign: sign of the rotation; -1 in reverse mode.
         homing: active homing offset.
     """
 
@@ -163,7 +163,7 @@ class Axis:
 
     Args:
         joint: index in the plant.
-        plant: receives the commands.
+        plant: plant that receives the commands.
         table: the servo's registers; `load` may replace them.
         zero: encoder counts of the chip at joint angle 0.
 

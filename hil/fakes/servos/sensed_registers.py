@@ -99,7 +99,7 @@ class Cadence(Scheduled):
     Args:
         options: `cadence_s` and related options.
         rng: random stream of the bus.
-        renew: makes one measurement.
+        renew: function that makes one measurement.
     """
 
     alone = True

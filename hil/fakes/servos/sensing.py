@@ -33,9 +33,9 @@ def count(history: Array, dither: Array, scales: Array, first: int, last: int) -
     """Convert the angles in the history to counts.
 
     Args:
-        history: (n, 8); updated.
+        history: history (n, 8); updated.
         dither: (n, 8) counts.
-        scales: (3, 8), rows `PER_RAD`, `PER_SPAN`, `PER_A`.
+        scales: scales (3, 8) with the rows `PER_RAD`, `PER_SPAN`, `PER_A`.
         first: first row that holds angles.
         last: last row that holds angles; none does if it is before `first`.
     """
@@ -52,12 +52,12 @@ def show(now: Array, history: Array, dither: Array, scales: Array, first: int, r
 
     Args:
         now: (2, 8) present angles and currents.
-        history: (n, 8); updated.
+        history: history (n, 8); updated.
         dither: (n, 8) counts.
-        scales: (3, 8), rows `PER_RAD`, `PER_SPAN`, `PER_A`.
+        scales: scales (3, 8) with the rows `PER_RAD`, `PER_SPAN`, `PER_A`.
         first: first row of the history that holds angles.
         row: row of the latest grid point.
-        shown: (3, 8) integers; the result.
+        shown: result: (3, 8) integers.
     """
     count(history, dither, scales, first, row)
     angles, amps, added = now[ANGLES], now[CURRENTS], dither[row]
@@ -86,7 +86,7 @@ class Sensing:
         dither_counts: noise of the encoders before rounding, one sigma.
 
     Attributes:
-        resistance_ohm: (8,) of the motors.
+        resistance_ohm: resistances (8,) of the motors.
         ticks: number of grid samples taken so far.
     """
 

@@ -33,7 +33,7 @@ class Servo:
 
     Args:
         joint: index in the plant and in `hil.core.signals.SERVOS`.
-        plant: contains the motor.
+        plant: plant that contains the motor.
         options: settings of the servo.
         model: control table and motor.
 
@@ -43,7 +43,7 @@ class Servo:
         axis: motor control.
         dead: True if it has no power.
         busy_until_ns: end of the boot time, before which it receives nothing.
-        velocity: last measured, counts in the joint's direction.
+        velocity: last measured velocity, counts in the joint's direction.
         temperature_limit, least_voltage, most_voltage: limits in raw counts, beyond which it sets an error.
     """
 

@@ -21,7 +21,7 @@ class SingleInstructions:
     """Executes all instructions except group instructions.
 
     Args:
-        live: updates the measurements before they are used.
+        live: function that updates the measurements before they are used.
     """
 
     def __init__(self, live: LiveRegisters) -> None:

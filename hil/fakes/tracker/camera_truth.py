@@ -27,7 +27,7 @@ class TrackerTruthOptions:
         latency_s: exposure to host, the smallest.
         jitter_s: mean of the exponential jitter beside it.
         clock_ppm: error of the time stamps' clock, standard deviation over cameras.
-        drop_probability: poses that USB loses.
+        drop_probability: share of poses that USB loses.
         settle_s: time with confidence 0, then 1, then 2, before it is 3.
         fast_m_s, fast_rad_s, low_confidence_s: motion that lowers the confidence, and for how long.
         relocalisations_per_s, relocalisation_m: mean rate of spontaneous jumps, and how far.

@@ -94,7 +94,7 @@ class Pong:
     Attributes:
         controller_id: id of the controller that answers.
         asker_id: id of the node that sent the ping.
-        hardware: 0 for a motor controller; None from firmware that does not report it.
+        hardware: type of the hardware, 0 for a motor controller; None from firmware that does not report it.
     """
 
     controller_id: int

@@ -22,7 +22,7 @@ class AgreementCheck(Check):
         motion: check that compares them.
         checks: checks of the bench.
         servos: check that detects a wheel that does not turn.
-        excluded: receives devices that are excluded.
+        excluded: record of the excluded devices.
         holders: devices that keep the robot on its surface: noun by kind.
 
     Attributes:

@@ -90,7 +90,7 @@ class FilterFit(Check):
 
         Args:
             state: the estimate.
-            events: receives findings.
+            events: list that receives findings.
             anew: True if the camera's frame was re-anchored in this cycle.
             refused: True if one of its poses was rejected in this cycle.
         """

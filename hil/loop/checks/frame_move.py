@@ -64,7 +64,7 @@ class FrameMove(Check):
     Half of gravity is the acceleration of a robot that falls; it makes no turns of that kind.
 
     Args:
-        excluded: receives motion capture if its frame has moved.
+        excluded: record of the excluded devices; takes motion capture if its frame has moved.
     """
 
     def __init__(self, excluded: Exclusion) -> None:

@@ -37,7 +37,7 @@ class MocapEstimate(Check):
     """Checks the estimate of one run.
 
     Args:
-        capture: keeps the poses of motion capture, and the displacements of camera and wheels.
+        capture: history of the poses of motion capture, and of the displacements of camera and wheels.
         follows: True if control uses this estimate; else it only warns.
 
     Attributes:

@@ -44,8 +44,9 @@ class ServoCheck(Check):
     Attributes:
         asked_rad_s: (4,) last commanded wheel rates.
         names: servos in messages, with bus IDs where known.
-        waits: no complete read for so long that the wheels wait for the next one. Where commands still
-            arrive, and no answers, no watchdog of the servos trips: the robot would go on until the stop.
+        waits: True after no complete read for so long that the wheels wait for the next one. Where commands
+            still arrive, and no answers, no watchdog of the servos trips: the robot would go on until the
+            stop.
     """
 
     def __init__(self, stale_s: float | None, pause: LoopPause, ids: tuple[int, ...] = ()) -> None:
@@ -78,7 +79,7 @@ class ServoCheck(Check):
 
         Args:
             inputs: samples of this cycle.
-            events: receives findings.
+            events: list that receives findings.
             stop: called with the reason to stop.
         """
         outside, self._outside = self._outside, _outside(inputs.encoders, self._outside)

@@ -175,7 +175,7 @@ class SteeringWatch(Check):
         Args:
             inputs: samples of this cycle.
             measurements: the same, aligned.
-            events: receives findings.
+            events: list that receives findings.
             stop: called with the reason to stop.
         """
         t_ns, last_ns = inputs.t_ns, self._last_ns

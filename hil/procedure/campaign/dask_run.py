@@ -148,7 +148,8 @@ def spread(
     Args:
         work: function to call with each job; must be importable by name, and must not raise expected errors.
         jobs: arguments of `work`; sent to the workers.
-        lost: makes the result of a job that raised or that no worker could do or finish, from the reason.
+        lost: function that makes the result of a job that raised or that no worker could do or finish, from
+            the reason.
         done: called in this process with every result.
         workers: processes on this computer; 0 runs all jobs in this process, without Dask.
         scheduler: address of a Dask scheduler to use instead.

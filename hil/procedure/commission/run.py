@@ -48,9 +48,9 @@ class Commission:
         folder: results folder.
         clock: clock for durations.
         now: date and time, ISO 8601.
-        quick: run the short form of every procedure.
-        resume: resume an interrupted commissioning.
-        operator: answers prompts.
+        quick: True to run the short form of every procedure.
+        resume: True to resume an interrupted commissioning.
+        operator: operator that answers prompts.
         report: progress.
         interrupts: signals.
         order: the stages to run.

@@ -104,7 +104,7 @@ def cells_of(
         seeds: seeds of the worlds.
         plants: physics models.
         moments: keys of `MOMENTS`.
-        only: restrict to these cells: `DEVICE`, `DEVICE:FAULT` or `DEVICE:FAULT@MOMENT`.
+        only: cells to restrict the campaign to: `DEVICE`, `DEVICE:FAULT` or `DEVICE:FAULT@MOMENT`.
 
     Raises:
         UsageError: `only` names a cell that does not exist.

@@ -75,7 +75,7 @@ class Seen:
         stop: error that ended the drive; None if it reached its end.
         error: error of opening or closing; None for none.
         foreign: an exception that is not from this project.
-        unreadable: why the recording cannot be read.
+        unreadable: reason why the recording cannot be read.
         astray_m: largest true distance from the reference during the drive.
         effect_m: largest true distance from a run of the same world without a fault, during the drive.
         figures: the end of the drive; None if the run did not reach it.

@@ -32,7 +32,7 @@ class KeptVerdicts:
     Args:
         folder: folder of the campaign; must exist.
         bench: name or file of the bench, as given by the user.
-        resume: continue the existing file; otherwise it is renamed to `cells.before.jsonl`.
+        resume: True to continue the existing file; otherwise it is renamed to `cells.before.jsonl`.
 
     Attributes:
         there: verdicts of an earlier run; empty for a new campaign.

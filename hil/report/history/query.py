@@ -31,7 +31,7 @@ def chosen(
         procedure: name of the procedure; empty for any.
         bench: name of the bench; empty for any.
         verdict: verdict, case-insensitive; empty for any.
-        since: exclude results older than this.
+        since: time of the oldest result to include.
         words: search words, case-insensitive; the text of a result must contain all of them.
         within: True to include single runs of a campaign or a commissioning.
     """

@@ -19,7 +19,7 @@ class DroneCanConfig(MotorConfig):
     Attributes:
         command: `duty` (`RawCommand`) or `rpm` (`RPMCommand`).
         node_id: node id of the controller.
-        esc_index: its place in the commands; `UAVCAN ESC Index` in VESC Tool.
+        esc_index: index of the controller in the commands; `UAVCAN ESC Index` in VESC Tool.
         own_id: node id of the daemon; no other node may have it.
     """
 

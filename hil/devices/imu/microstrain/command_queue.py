@@ -150,8 +150,8 @@ class Dialogue:
     """Runs one script.
 
     Args:
-        script: makes the script; called again when the sensor has stayed silent.
-        send: hands bytes to the port.
+        script: function that makes the script; called again when the sensor has stayed silent.
+        send: function that hands bytes to the port.
         patience_ns: longest wait for an answer.
 
     Attributes:

@@ -33,8 +33,8 @@ class MicrostrainConfig(ImuConfig):
         reply_timeout_s: longest wait for the answer to a command before it is sent again.
         open_timeout_s: longest wait for a sensor that is still starting.
         fail_after_s: uninterrupted failure that raises instead of being reported as data.
-        stuck_after_s: bit-identical data for longer than this are marked frozen.
-        stale_after_s: samples that come later than this are marked stale.
+        stuck_after_s: time after which bit-identical data are marked frozen.
+        stale_after_s: age after which samples are marked stale.
     """
 
     model: Literal["microstrain"] = "microstrain"

@@ -117,9 +117,9 @@ class FilterData:
     Attributes:
         device_ns: the sensor's clock at the measurement, ns since it was switched on.
         state, flags: state and status flags of the filter.
-        quaternion_wxyz: (4,), sensor in north, east, down.
-        rate_rad_s, linear_m_s2: (3,), sensor frame; acceleration without gravity.
-        gravity_m_s2: (3,), sensor frame, points down.
+        quaternion_wxyz: attitude (4,), sensor in north, east, down.
+        rate_rad_s, linear_m_s2: rate and acceleration without gravity, (3,), sensor frame.
+        gravity_m_s2: gravity (3,), sensor frame; points down.
         valid: True if the sensor marks each of these values as valid.
         raw: the bytes of all measured fields.
     """

@@ -23,7 +23,7 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
 
     Attributes:
         controller_ids: numbers of the controllers, as set in VESC Tool (App Settings, General).
-        own_id: under which this program asks; no controller may have it.
+        own_id: id under which this program asks; no controller may have it.
         pole_pairs: pole pairs of the motors: electrical over mechanical speed.
         full_rpm: speed of the propellers at which all together give `full_force_n`; the force goes with the
             square of the speed.

@@ -42,7 +42,8 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
     Args:
         config: bus, controllers, full force.
         clock: the bench clock.
-        make_commander: makes the motor commander from (spec, clock); the daemon's client when None.
+        make_commander: function that makes the motor commander from (spec, clock); the daemon's client when
+            None.
     """
 
     name = "thrust"

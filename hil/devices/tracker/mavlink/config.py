@@ -65,11 +65,11 @@ class MavlinkTrackerConfig(TrackerConfig):
             `max_rate_rad_s` explain; anything larger is a relocalisation.
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump or reset before they are trusted again.
-        stale_after_s: poses that come later than this are marked stale.
-        stuck_after_s: bit-identical poses for longer than this are marked frozen.
+        stale_after_s: age after which poses are marked stale.
+        stuck_after_s: time after which bit-identical poses are marked frozen.
         open_timeout_s: longest wait for the first pose.
         fail_after_s: uninterrupted silence (or garbage) that raises.
-        queue_length: poses kept between two reads; the oldest are dropped and counted.
+        queue_length: number of poses kept between two reads; the oldest are dropped and counted.
     """
 
     CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ("port",)

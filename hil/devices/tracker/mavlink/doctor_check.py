@@ -33,7 +33,7 @@ def diagnose(
         session: the session with the sender.
         config: configuration of the tracker.
         device: name in the findings.
-        samples: read during `watched_s`.
+        samples: samples read during `watched_s`.
         watched_s: duration of the watch; no finding on the rate when 0.
     """
     yield _sender(session, device)

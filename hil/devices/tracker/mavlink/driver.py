@@ -49,7 +49,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
     Args:
         config: its address, its system and component, and how its poses are judged.
         clock: the bench clock.
-        link: opens the link to the sender; the configured one by default.
+        link: function that opens the link to the sender; the configured one by default.
     """
 
     name = "tracker"

@@ -118,7 +118,7 @@ class Session:
     """Parses what arrives on a link, and sends what is due.
 
     Args:
-        link: open; closed with the session.
+        link: open link; closed with the session.
         common: the MAVLink dialect.
         config: the wanted sender.
         clock: the bench clock.
