@@ -22,7 +22,7 @@ _DOUBTS = 10
 
 
 class FanStartCheck:
-    """Whether the reports of a fan can be true, by each other and by the load cells.
+    """Check of a fan's reports by each other and by the load cells.
 
     Args:
         config: configuration of its bench.

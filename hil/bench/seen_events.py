@@ -1,4 +1,4 @@
-"""What a bench has seen: the events of its cycles, and its own warnings, for results and reports."""
+"""Events that a bench has seen: those of its cycles, and its own warnings, for results and reports."""
 
 from __future__ import annotations
 

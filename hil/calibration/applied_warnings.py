@@ -16,7 +16,7 @@ from hil.datasets.dataset import Recording
 
 @dataclass(frozen=True)
 class InSample:
-    """Which of the given recordings a calibration was fitted to.
+    """Those of the given recordings that a calibration was fitted to.
 
     Attributes:
         names: recordings that it was fitted to, recognised by the digest of a file or by their wheels.

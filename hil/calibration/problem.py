@@ -77,7 +77,7 @@ PARAMETER_NAMES = tuple(f"{k}_{wheel}" for k in ("x_w", "y_w", "r", "delta0") fo
 
 @dataclass(frozen=True)
 class Setting:
-    """What to fit, and how to weight it.
+    """Parameters to fit, and the weights of the fit.
 
     Attributes:
         name: `paper`, `recommended` or `custom`.

@@ -111,7 +111,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Used:
-    """What the odometry is computed with: a calibration or None, nominal robot, model, signal, deployment."""
+    """Basis of the odometry: a calibration or None, nominal robot, model, signal, deployment."""
 
     file: CalibrationFile | None
     robot: Nominal

@@ -1,4 +1,4 @@
-"""What several commands share: options checked before anything is opened, and groups that suggest a name."""
+"""Parts of several commands: options checked before anything is opened, and groups that suggest a name."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _STDOUT, _STDERR = 1, 2
 
 @dataclass
 class Answered:
-    """Whether a command that still runs has written its JSON object; a later error then adds none."""
+    """Note that a command that still runs has written its JSON object; a later error then adds none."""
 
     already: bool = False
 

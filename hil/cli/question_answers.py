@@ -1,4 +1,4 @@
-"""Where the answers to a command's questions come from: a person, a file, or another program."""
+"""Sources of the answers to a command's questions: a person, a file, or another program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which robot a command on recordings is about: `--bench FILE`, else the CAD model."""
+"""Robot that a command on recordings is about: `--bench FILE`, else the CAD model."""
 
 from __future__ import annotations
 

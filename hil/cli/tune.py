@@ -141,7 +141,7 @@ def command(
 
 @dataclass
 class _Findings:
-    """What is wrong with recordings.
+    """Faults of recordings.
 
     Attributes:
         problems: problems of damaged ones, of which the readable part is used.

@@ -28,7 +28,7 @@ class LoopConfig(Strict):
 
 
 class SafetyConfig(Strict):
-    """When the supervisor stops the robot.
+    """Limits at which the supervisor stops the robot.
 
     Attributes:
         servo_stale_s, imu_stale_s, tracker_stale_s: age after which a device counts as silent.
@@ -135,7 +135,7 @@ class RecordConfig(Strict):
 
 
 class ExitConfig(Strict):
-    """What happens to the robot when the work ends.
+    """Treatment of the robot when the work ends.
 
     Attributes:
         policy: `hold` keeps torque on, `release` drops it: on a wall the robot then slides.

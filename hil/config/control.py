@@ -15,7 +15,7 @@ Weight = Annotated[float, Within(1e-6, 1e6, "only the ratios of the weights coun
 
 
 class ControlConfig(Strict):
-    """Which law, its gains, the module layer and its limits.
+    """Control law, its gains, the module layer and its limits.
 
     Attributes:
         law: `optimal` (time-varying LQR), or `nonlinear` (the authors', model-based, per wheel), which lags

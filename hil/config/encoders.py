@@ -18,7 +18,7 @@ Names = tuple[str, str, str, str]
 
 
 class EncodersConfig(CanConfig):
-    """How the AS5045 node is reached, decoded and judged.
+    """Address, decoding and limits of the AS5045 node.
 
     Attributes:
         dbc: path of a DBC file; the shipped `as5045.dbc` when None.

@@ -24,7 +24,7 @@ Range = tuple[Metres, Metres]
 
 
 class EnvironmentConfig(Strict):
-    """Where the robot works; real and emulated alike.
+    """Surroundings of the robot; real and emulated alike.
 
     Attributes:
         surface: name of the surface. An emulated robot stands on `floor` (needs no adhesion, and lies flat),

@@ -28,7 +28,7 @@ Threshold = Annotated[float, Within(0.1, 1000.0, "chi-squared; nothing is an out
 
 
 class ProcessNoise(Strict):
-    """How the motion may change between measurements.
+    """Changes of the motion between measurements.
 
     Attributes:
         acceleration_m_s2_sqrt_hz, angular_acceleration_rad_s2_sqrt_hz: random walk of the body twist.
@@ -65,7 +65,7 @@ class WheelNoise(Strict):
 
 
 class SlipModel(Strict):
-    """What the wheels cannot see; one table for the wall, one for the floor.
+    """Slip, which the wheels cannot see; one table for the wall, one for the floor.
 
     Attributes:
         slip_m_s: standard deviation of the slip velocity along gravity (Ornstein-Uhlenbeck, wall x); sag.

@@ -14,7 +14,7 @@ Byte = Annotated[int, Within(0, 255, "a register")]
 
 
 class Bno055Config(ImuConfig):
-    """How the IMU is reached, set up and judged.
+    """Address, settings and limits of the IMU.
 
     Attributes:
         port: any pyserial URL or device path.

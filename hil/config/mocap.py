@@ -14,7 +14,7 @@ Body = Annotated[str | int, Within(0, 2**31 - 1, "a streaming id of Motive")]
 
 
 class MocapConfig(DeviceConfig):
-    """How the capture server is reached and its poses are judged.
+    """Address of the capture server, and limits for its poses.
 
     Attributes:
         server: IPv4 address of the computer that runs Motive.

@@ -24,7 +24,7 @@ _OWNED = ("torque_enable", "status_return_level", "bus_watchdog", "goal_velocity
 
 
 class ServosConfig(DeviceConfig):
-    """How the servo bus is reached, checked, set up and judged.
+    """Address, checks, settings and limits of the servo bus.
 
     Attributes:
         port: any pyserial URL or device path.

@@ -11,7 +11,7 @@ from hil.config.values import Freshness, MostKept, NetworkPort, Patience, PosesA
 
 
 class FeedEndpoint(Strict):
-    """Where an emulated camera streams its poses (`hil emulate` prints it).
+    """Address at which an emulated camera streams its poses (`hil emulate` prints it).
 
     Attributes:
         host: IPv4 address or name.
@@ -23,7 +23,7 @@ class FeedEndpoint(Strict):
 
 
 class T265Config(TrackerConfig):
-    """How the camera is found and its poses are judged.
+    """Choice of the camera, and limits for its poses.
 
     Attributes:
         serial: serial number of the camera to use; any T265 when None.

@@ -184,13 +184,13 @@ UnitQuaternion = Annotated[Quaternion, AfterValidator(_unit)]
 """(w, x, y, z) within 1 % of unit norm; normalised."""
 
 Patience = Annotated[float, Within(0.001, 60.0, "s; a minute of silence is an outage, whatever the device")]
-"""How long (s) something may be silent, stuck or in the making, or how often it is looked at."""
+"""Time (s) for which something may be silent, stuck or in the making, or at which it is looked at again."""
 
 Freshness = Annotated[float, Within(0.001, 10.0, "s; the robot drives 1.2 m in 10 s")]
-"""How old (s) or unchanging data may be and still be believed."""
+"""Age (s) of data, or time without a change, up to which they are believed."""
 
 Delay = Annotated[float, Within(0.0, 0.5, "s; what comes later is of no use to a loop")]
-"""What passes (s) from a measurement to its arrival, or is allowed on top of it; may be 0."""
+"""Time (s) from a measurement to its arrival, or allowed on top of it; may be 0."""
 
 Angle = Annotated[float, Within(-7.0, 7.0, "a turn is 6.28, angles are in radians")]
 

@@ -1,1 +1,1 @@
-"""What every other package uses: samples, clocks, geometry, errors, interfaces, the registry of devices."""
+"""Parts for all other packages: samples, clocks, geometry, errors, interfaces, the registry of devices."""

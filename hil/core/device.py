@@ -25,7 +25,7 @@ Figures = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Connection:
-    """How a driver reaches an emulated device in this process.
+    """Address at which a driver reaches an emulated device in this process.
 
     Attributes:
         values: address keys of its table in the bench file (`port`, `channel`, ...).
@@ -54,7 +54,7 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True)
 class Search:
-    """What discovery may search besides serial ports.
+    """Places that discovery may search besides serial ports.
 
     Attributes:
         given: tables of devices that the user named, by kind.
@@ -199,7 +199,7 @@ class DeviceModel:
 
 
 class DeviceKind:
-    """What the bench knows about a kind of device; the defaults describe a plain sensor.
+    """Facts that the bench knows about a kind of device; the defaults describe a plain sensor.
 
     Attributes:
         name: names its table in the bench file, its field or key in `Inputs`, its faults and its topics.

@@ -27,7 +27,7 @@ SERVOS = tuple(f"drive_{w}" for w in WHEELS) + tuple(f"steer_{w}" for w in WHEEL
 
 
 class Status(str, enum.Enum):
-    """Why a sample or a channel of it can or cannot be used."""
+    """Reason why a sample or a channel of it can or cannot be used."""
 
     OK = "ok"
     TIMEOUT = "timeout"
@@ -53,7 +53,7 @@ _ALL_OK = (_OK,) * len(SERVOS)
 
 @dataclass(frozen=True)
 class Stamp:
-    """When a sample was measured and when the host received it.
+    """Times at which a sample was measured and at which the host received it.
 
     Attributes:
         t_ns: best estimate of the time of measurement, on the bench clock.
@@ -424,7 +424,7 @@ class RobotState:
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the robot should be at `t_s`: pose in the wall frame, body twist, acceleration in wall axes."""
+    """Reference of the robot at `t_s`: pose in the wall frame, body twist, acceleration in wall axes."""
 
     t_s: float
     pose_in_wall: Array

@@ -35,7 +35,7 @@ EITHER_SCALE = (
 
 @dataclass(frozen=True)
 class _Found:
-    """What a set of recordings has in common, 0 where nothing is to be corrected.
+    """Errors that a set of recordings has in common; 0 where nothing is to be corrected.
 
     Attributes:
         late: True for each recording whose ground truth is late or early.

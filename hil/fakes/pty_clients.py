@@ -1,4 +1,4 @@
-"""Whether a program has the client side of an emulated serial port open.
+"""Programs that have the client side of an emulated serial port open.
 
 The kernel reports by inotify that the terminal was opened or closed, and merges equal reports. So a report
 that it was closed is followed by a look at which programs still have it open: in a thread, as it takes 10 ms.

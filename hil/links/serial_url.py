@@ -37,7 +37,7 @@ def _port_errors() -> tuple[type[Exception], ...]:
 
 
 PORT_ERRORS = _port_errors()
-"""What pyserial lets through when a port fails under it; `SerialException` is an `OSError`."""
+"""Exceptions of pyserial when a port fails under it; `SerialException` is an `OSError`."""
 
 
 def close_quietly(port: Any) -> None:

@@ -6,7 +6,7 @@ from hil.core.clock import nanoseconds
 
 
 class StuckTest:
-    """Whether readings have been the same to the last bit for too long.
+    """Detector of readings that have been the same to the last bit for too long.
 
     Args:
         after_s: longest time for which they may.

@@ -36,7 +36,7 @@ from hil.support.stop_signals import StopRequest
 
 _SETTLE_S = 0.5
 HOLD_S = 2.0
-"""How long (s) a robot is held at the end of a trajectory if no duration is given."""
+"""Time (s) for which a robot is held at the end of a trajectory if no duration is given."""
 _PATH_POINTS = 400
 _HEADING_MARGIN_RAD = 0.035
 
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LivePlan:
-    """What a session does.
+    """Plan of a session.
 
     Attributes:
         trajectory: function that makes the reference from the robot's pose; `commands`: velocity commands to

@@ -24,7 +24,7 @@ Healthy capture systems lose the body for up to 0.2 s. Linear interpolation acro
 most 1.6 mm for followed references (0.2 m/s^2).
 """
 HELD_S = 0.1
-"""How long the last sample is used, s: a frame in transit, a cycle, and a common gap (0.08 s) before it."""
+"""Longest use of the last sample, s: a frame in transit, a cycle, and a common gap (0.08 s) before it."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ class SafetyLimits:
 
 @dataclass(frozen=True)
 class Checks:
-    """Which sensors are compared with each other, and whether a disagreement stops the robot.
+    """Comparisons of sensors with each other, and the disagreements that stop the robot.
 
     If control does not use the sensor in doubt, there is only a warning: a script that turns single wheels
     follows no pose, and odometry needs no camera.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LeftBench:
-    """How one bench left the robot.
+    """State in which one bench left the robot.
 
     Attributes:
         name: name of the bench.

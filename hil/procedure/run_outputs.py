@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Keep = Literal["all", "results"]
-"""What a run keeps: `all`, or `results` without recordings and figures."""
+"""Files that a run keeps: `all`, or `results` without recordings and figures."""
 _LISTED = 6
-"""How many values a note lists for a measurement that was set repeatedly."""
+"""Number of values that a note lists for a measurement that was set repeatedly."""
 
 
 @dataclass

@@ -26,7 +26,7 @@ START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 
 @dataclass(frozen=True)
 class RunStart:
-    """How a run began.
+    """Begin of a run.
 
     Attributes:
         state: state that the pipeline was reset to.

@@ -25,7 +25,7 @@ _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 class Frame(NamedTuple):
-    """Where a frame is: origin (3,) m and axes as a quaternion, both in its parent."""
+    """Pose of a frame: origin (3,) m and axes as a quaternion, both in its parent."""
 
     parent: str
     child: str

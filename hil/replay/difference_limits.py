@@ -24,7 +24,7 @@ from hil.recording.record_comparison import first_difference
 
 @dataclass(frozen=True)
 class Limit:
-    """How far one quantity may differ.
+    """Limit of the difference of one quantity.
 
     Attributes:
         value: largest difference that agrees.

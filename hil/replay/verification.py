@@ -33,11 +33,11 @@ FLIP = (
     "A sample or an event that falls to the other side of its threshold is more than the limits allow, and "
     "all that follows differs, too. Such a flip may come from the other arithmetic alone"
 )
-"""What to know where a flag, a count or an event differs under another arithmetic."""
+"""Remark where a flag, a count or an event differs under another arithmetic."""
 EXACT = "The arithmetic is that of the recording, so every bit has to be equal"
-"""What to know of a difference where the fingerprints are the same."""
+"""Remark on a difference where the fingerprints are the same."""
 MISSING = "Cycles are missing, so those after them cannot be verified; no number that was compared differs"
-"""What to know of a run with a gap."""
+"""Remark on a run with a gap."""
 _STOP = re.compile(r"robot stopped \((\w+)\): (.*)", re.DOTALL)
 """Text of a `SafetyStop`."""
 

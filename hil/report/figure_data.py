@@ -64,7 +64,7 @@ class Curve(_Part):
     dashed: bool = False
     mark: bool = False
     across: bool = False
-    """Whether x holds the values and y the positions, as for horizontal bars."""
+    """True if x holds the values and y the positions, as for horizontal bars."""
 
 
 class Area(_Part):

@@ -79,7 +79,7 @@ class MotorRatings:
 
 
 class Reading(NamedTuple):
-    """What a controller reports at one time; NaN where it does not."""
+    """Reports of a controller at one time; NaN where it gives none."""
 
     speed_rpm: float
     duty: float = math.nan
@@ -245,7 +245,7 @@ def _by_power(ratings: MotorRatings, now: Reading, power_rpm: float, unknown: Cr
 
 
 class Steadiness:
-    """Whether the speed of a motor has been the same for a second.
+    """Detector of a motor speed that has been the same for a second.
 
     Args:
         ratings: numbers of the bench file.

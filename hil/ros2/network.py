@@ -21,7 +21,7 @@ _LOOPBACK = "lo"
 
 @dataclass(frozen=True)
 class Network:
-    """Where the bench can be found.
+    """Place of the bench on DDS.
 
     Attributes:
         domain: number of the DDS domain, as in `ROS_DOMAIN_ID`.

@@ -1,4 +1,4 @@
-"""How a run left the robot, HELD or NOT HELD, as data and in words."""
+"""State in which a run left the robot, HELD or NOT HELD, as data and in words."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ State = Literal["HELD", "NOT HELD", "not needed"]
 
 @dataclass(frozen=True)
 class Held:
-    """How a run left the robot.
+    """State in which a run left the robot.
 
     Attributes:
         state: `not needed` where gravity does not pull along the surface.

@@ -28,7 +28,7 @@ _VERDICT = re.compile(r'^# verdict = "(.*)"\n', re.MULTILINE)
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a file comes from.
+    """Origin of a file.
 
     Attributes:
         robot: robot that it is of; None if the file does not name one.

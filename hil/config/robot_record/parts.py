@@ -27,7 +27,7 @@ NOT_VERIFIED = "not verified"
 
 @dataclass(frozen=True)
 class PartKind:
-    """What a part may hold.
+    """Permitted content of a part.
 
     Attributes:
         title: short description of the part.
@@ -150,7 +150,7 @@ class Spread(_Model):
 
 
 class Part(_Model):
-    """What one procedure found.
+    """Findings of one procedure.
 
     Attributes:
         procedure, verdict: the procedure that measured it, and how its run ended; `not verified` of a file

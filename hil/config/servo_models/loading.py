@@ -19,7 +19,7 @@ else:
     import tomli as tomllib
 
 DEFAULT_MODEL = 1010
-"""What is emulated where the bench file names no model: XH430-W210, the robot of the public recordings."""
+"""Model that is emulated where the bench file names none: XH430-W210, as of the public recordings."""
 
 _FOLDER = Path(__file__).parent
 

@@ -29,7 +29,7 @@ class Performance:
 
 @dataclass(frozen=True)
 class Motor:
-    """What the emulated motor is made of, at the output of the gear.
+    """Constants of the emulated motor, at the output of the gear.
 
     Attributes:
         torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: constants of motor and gear.

@@ -28,7 +28,7 @@ _POSE_VALUES, _END_VALUES = 9, 5
 
 
 class _Section(NamedTuple):
-    """How to pass over a section: the least size of an item, and how to skip one of varying size."""
+    """Layout of a section to pass over: least size of an item, and a function to skip one of varying size."""
 
     least_size: int
     skip: Callable[[Cursor], None] | None = None

@@ -18,7 +18,7 @@ from hil.support.versions import ABSENT, version_of
 MODEL = "T265"
 LAST_VERSION, LAST_FIRMWARE = "2.53.1", "0.2.0.951"
 VENDOR_ERRORS = (RuntimeError, OSError, TypeError, AttributeError)
-"""What librealsense's binding raises; all of it is translated where it happens."""
+"""Exceptions of librealsense's binding; all are translated where they occur."""
 
 _LOOK_NS = 200_000_000
 
@@ -40,7 +40,7 @@ class Frame(Protocol):
 
 
 class Pipeline(Protocol):
-    """What is used of `pyrealsense2.pipeline`.
+    """The part of `pyrealsense2.pipeline` that is used.
 
     Poses are taken by callback: polling delivers the latest frame only and drops the others.
     """

@@ -36,7 +36,7 @@ pack = pack_pose
 
 
 class Parameters(Record):
-    """Whether the poses are used (1 or 0), and their variances, m^2 and rad^2."""
+    """Use of the poses (1 or 0), and their variances, m^2 and rad^2."""
 
     used: float
     position: float

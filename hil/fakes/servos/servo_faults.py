@@ -33,7 +33,7 @@ _OF_ONE: Supported = {
     "intermittent": PERIODIC,
     "silent": (),
 }
-"""What may become of the replies of a single servo; the line does it to those of the bus."""
+"""Faults of the replies of a single servo; those of the bus come from the line."""
 SERVO_FAULTS: Supported = {**BUS_FAULTS, **_OF_ONE}
 
 _WRONG_RAD, _JUMP_RAD = 0.1, 0.5

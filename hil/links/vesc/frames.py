@@ -165,7 +165,7 @@ Message = Order | Pong | Status | Status2 | Status3 | Status4 | Status5 | Status
 
 
 class _Layout(NamedTuple):
-    """How a report is unpacked; `lsb_per_unit` has a figure for each field."""
+    """Layout by which a report is unpacked; `lsb_per_unit` has a figure for each field."""
 
     made: type[Status | Status2 | Status3 | Status4 | Status5 | Status6]
     data: struct.Struct

@@ -38,7 +38,7 @@ def ended_by(error: HilError) -> Ended:
 
 @dataclass(frozen=True)
 class Told:
-    """What one event told.
+    """Content of one event.
 
     Attributes:
         suspects: names of the suspected devices.

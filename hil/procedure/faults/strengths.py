@@ -1,4 +1,4 @@
-"""How strong each fault is in the campaign: options from below notice to extreme, of both signs.
+"""Strengths of each fault in the campaign: options from below notice to extreme, of both signs.
 
 The first strength of a fault is tested at every moment, the others in motion. A fault that changes neither
 path nor messages at any strength tests nothing and is in no cell of a single fault.

@@ -176,7 +176,7 @@ def _list(tree: dict[str, Any], key: str) -> list[Any]:
 
 @dataclass(frozen=True)
 class Loss:
-    """What the deletion of a result removes, and what it leaves.
+    """Files that the deletion of a result removes, and those that it leaves.
 
     Attributes:
         kept: the result.

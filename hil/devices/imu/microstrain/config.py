@@ -16,7 +16,7 @@ _PROCESSING_S = 0.002
 
 
 class MicrostrainConfig(ImuConfig):
-    """How the sensor is reached, set up and judged.
+    """Address, settings and limits of the sensor.
 
     Attributes:
         port: any pyserial URL or device path.

@@ -20,7 +20,7 @@ _OTHER_FORMS = re.compile(r"(udp|udpin|udpout|udpbcast|tcp|tcpin|tcpout|mcast|ws
 
 
 class UdpAddress(NamedTuple):
-    """Where datagrams are awaited (`udpin`), or where the sender awaits them (`udpout`)."""
+    """Address at which datagrams are awaited (`udpin`), or at which the sender awaits them (`udpout`)."""
 
     role: str
     host: str
@@ -46,7 +46,7 @@ def _connection(port: str) -> str:
 
 
 class MavlinkTrackerConfig(TrackerConfig):
-    """How the visual-inertial computer is reached and its poses are judged.
+    """Address of the visual-inertial computer, and limits for its poses.
 
     Attributes:
         port: `udpin:HOST:PORT` waits for a sender, `udpout:HOST:PORT` speaks to one first; or a serial port.

@@ -36,8 +36,8 @@ class ComputerTruthOptions(TrackerTruthOptions):
         settle_s: time with quality -1 (failed), then 10, then 35, before it is 90.
         system_id, component_id: MAVLink ids; component 197 is visual-inertial odometry.
         frame: frame of the poses, without MAV_FRAME_.
-        twist_in_body: True if the twist is given in BODY_FRD, not in the frame of the pose.
-        sends_covariance, sends_quality, sends_heartbeat, answers_timesync: True if it does so.
+        twist_in_body: true if the twist is given in BODY_FRD, not in the frame of the pose.
+        sends_covariance, sends_quality, sends_heartbeat, answers_timesync: true if it does so.
     """
 
     rate_hz: float = 100.0

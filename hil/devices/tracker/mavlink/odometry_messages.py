@@ -60,7 +60,7 @@ def frame_name(number: int) -> str:
 
 
 class Axes(NamedTuple):
-    """How the numbers of an odometry message become robot axes.
+    """Conversion of the numbers of an odometry message to robot axes.
 
     Attributes:
         turn_world: True if the pose's frame has z down and is turned about its x.
