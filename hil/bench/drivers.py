@@ -17,6 +17,7 @@ from hil.core.errors import HilError
 from hil.core.interfaces import Actuators, Device, Sensor
 from hil.core.registry import base_of, kinds
 from hil.loop.device_set import DeviceSet
+from hil.support.lost_time import LostTime
 
 
 def model_of(config: BenchConfig, kind: str) -> DeviceModel:
@@ -30,6 +31,7 @@ def make_device_set(
     clock: Clock,
     connections: Mapping[str, Connection],
     failures: Mapping[str, HilError] = MappingProxyType({}),
+    lost: LostTime | None = None,
 ) -> DeviceSet:
     """Make the drivers of all configured devices; they are not opened.
 
@@ -38,6 +40,7 @@ def make_device_set(
         clock: the bench clock.
         connections: connections to emulated devices, by kind; empty for a bench of hardware.
         failures: errors of emulated devices, by kind; filled when they occur.
+        lost: counts the time that this computer takes from the loop; None in virtual time.
     """
 
     def driver(name: str, table: DeviceConfig) -> Device:
@@ -61,4 +64,5 @@ def make_device_set(
         clock,
         cast("Actuators", moving[0]) if moving else None,
         cast("dict[str, Sensor[Any]]", {**holding, **sensing}),
+        lost,
     )

@@ -126,6 +126,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
         added=added_checks(config),
+        emulated=frozenset(config.emulated()),
     )
 
 

@@ -31,6 +31,7 @@ from hil.core.interfaces import Sink
 from hil.core.registry import kinds
 from hil.fakes.world import VirtualClock
 from hil.faults.fault import Fault, describe
+from hil.support.lost_time import LostTime
 
 LOG = logging.getLogger(__name__)
 
@@ -91,7 +92,7 @@ def _put_together(
     config = model.config
     if not config.emulated():
         clock = MonotonicClock()
-        return Bench(model, clock, make_device_set(config, clock, {}), sinks=sinks)
+        return Bench(model, clock, make_device_set(config, clock, {}, lost=LostTime()), sinks=sinks)
     if realtime or len(config.emulated()) < len(config.devices()):
         return _at_the_wire(model, plan, sinks)
     world = build_world(config, seed=model.seed, faults=plan)
@@ -129,7 +130,8 @@ def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, 
         check_faults(served, plan)  # an error in a key of the bench file is reported instead
         raise
     clock = MonotonicClock()
-    rig = make_device_set(config, clock, _reach(config, emulator.endpoints))
+    reached = _reach(config, emulator.endpoints)
+    rig = make_device_set(config, clock, reached, lost=LostTime(emulator.pid))
     bench = Bench(model, clock, rig, sinks=sinks, faults=plan)
     bench.on_open(emulator.begin)
     bench.on_close(emulator.close)

@@ -265,7 +265,8 @@ class Inputs:
     The fields after `health` and `servos` are the kinds of devices that this package knows, by their names
     (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.core.registry`),
     and those of further devices of a kind, by the device's name. `slow_ns` holds the time that devices took
-    to be read, where that was more than 10 ms.
+    to be read, where that was more than 10 ms. `lost_ns` holds the time that this computer took since the
+    previous cycle from the loop's thread (`loop`) and from the process that emulates devices (`emulator`).
     """
 
     cycle: int
@@ -281,6 +282,7 @@ class Inputs:
     load_cells: tuple[LoadCellSample, ...] = ()
     added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     slow_ns: Mapping[str, int] = field(default_factory=dict)
+    lost_ns: Mapping[str, int] = field(default_factory=dict)
 
     def of(self, kind: str) -> tuple[Any, ...]:
         """Samples of a kind by its name; empty where it delivered nothing.
@@ -305,7 +307,7 @@ def worst(sample: Any) -> Status:
     return next(state for state in status if state is not _OK)
 
 
-NO_KINDS = ("cycle", "t_ns", "health", "added", "slow_ns")
+NO_KINDS = ("cycle", "t_ns", "health", "added", "slow_ns", "lost_ns")
 """Fields of `Inputs` that are not device kinds; reserved as names of kinds."""
 _KNOWN = frozenset(KINDS)
 

@@ -148,15 +148,17 @@ class ControlLoop:
         return record
 
     def _read(self, start_ns: int) -> Inputs:
-        """Read every device; after a long pause of the loop a timeout is reported as `held_up`."""
+        """Read every device; a timeout that is this computer's is reported as `held_up`."""
         before_ns, self._began_ns = self._began_ns, start_ns
         try:
             return self.rig.read(self._cycle)
         except DeviceTimeoutError as error:
             gap_ns = 0 if before_ns is None else start_ns - before_ns
-            if gap_ns <= HELD_UP_NS:
+            why = f"{stood_still(gap_ns)}; then" if gap_ns > HELD_UP_NS else ""
+            why = why or self.pipeline.supervisor.excuse(error.device)
+            if not why:
                 raise
-            stop = SafetyStop("held_up", f"{stood_still(gap_ns)}; then {error}")
+            stop = SafetyStop("held_up", f"{why} {error}")
             self._stopped(Inputs(self._cycle, start_ns), stop, source=OUTSIDE)
             raise stop from error
 

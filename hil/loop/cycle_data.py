@@ -15,6 +15,8 @@ Inflation = tuple[float, float]
 """Largest error of an estimate: m along each axis, rad of the heading."""
 NO_INFLATION: Inflation = (0.0, 0.0)
 _PAUSED, _STALE = "held_up", "stale_"
+SILENT = (_STALE, "lost_")
+"""What reasons begin with that name a silent device."""
 """After a long pause of the loop itself, devices that were not read meanwhile do not count as silent."""
 
 

@@ -11,9 +11,11 @@ from hil.core.errors import DeviceError
 from hil.core.interfaces import Actuators, Device, Holding, Sensor
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, Inputs
+from hil.support.lost_time import LostTime
 
 _SLOW_NS = 10_000_000
 _NOTHING: tuple[Any, ...] = ()
+_NONE_LOST: Mapping[str, int] = {}
 _UNHEARD = {kind: _NOTHING for kind in KINDS if kind != "servos"}
 """Empty samples of each kind of sensor that this package knows, in the order of `Inputs`."""
 
@@ -27,11 +29,13 @@ class DeviceSet:
         servos: driver of the servos; None where the bench has none.
         sensors: the other devices by kind, in the order in which they are opened and read; devices that hold
             the robot (`DeviceKind.holds_robot`) are among them, and come first.
+        lost: counts the time that this computer takes from the loop; None in virtual time.
     """
 
     clock: Clock
     servos: Actuators | None = None
     sensors: Mapping[str, Sensor[Any]] = field(default_factory=dict)
+    lost: LostTime | None = None
 
     def get(self, kind: str) -> Any:
         """The device of a kind; None if the bench has none."""
@@ -57,11 +61,14 @@ class DeviceSet:
         """Close every device: servos first, devices that hold the robot last; a closed fan keeps running."""
         for device in reversed(self.devices()):
             device.close()
+        if self.lost is not None:
+            self.lost.close()
 
     def read(self, cycle: int) -> Inputs:
         """Read every device once, the others while the servos answer; `t_ns` is the time of the start."""
         now_ns = self.clock.now_ns
         t_ns = before_ns = now_ns()
+        lost_ns = _NONE_LOST if self.lost is None else self.lost.take()
         servos, read, health = self.servos, _NOTHING, _NOTHING
         if servos is not None:
             servos.ask()
@@ -71,15 +78,19 @@ class DeviceSet:
             (known if kind in _UNHEARD else added)[kind] = sensor.read()
             done_ns = now_ns()
             if done_ns - before_ns > _SLOW_NS:
-                slow_ns[kind] = done_ns - before_ns
+                slow_ns[kind] = self._slow_ns(done_ns - before_ns)
             before_ns = done_ns
         if servos is not None:
             read, health = servos.read(), servos.read_health()
             done_ns = now_ns()
             if done_ns - before_ns > _SLOW_NS:
-                slow_ns["servos"] = done_ns - before_ns
-        values: tuple[Any, ...] = (cycle, t_ns, read, health, *known.values(), added, slow_ns)
+                slow_ns["servos"] = self._slow_ns(done_ns - before_ns)
+        values: tuple[Any, ...] = (cycle, t_ns, read, health, *known.values(), added, slow_ns, lost_ns)
         return Inputs(*values)
+
+    def _slow_ns(self, took_ns: int) -> int:
+        """Time that a device took to be read, without what this computer took meanwhile."""
+        return took_ns if self.lost is None else max(0, took_ns - self.lost.so_far_ns())
 
     def brace(self) -> None:
         """Raise the force of all devices that hold the robot to the permitted maximum. Never raises."""

@@ -60,6 +60,7 @@ class Checks:
         lost_after_s: time without any sample, by sensor, after which a robot that follows a pose stops;
             reconnecting a sensor may take longer.
         added: checks of the device kinds, by kind.
+        emulated: emulated devices; in real time the process that serves them may be late itself.
     """
 
     motion: MotionCheck | None = None
@@ -76,3 +77,4 @@ class Checks:
     brought: Mapping[str, Collection[str]] = field(default_factory=dict)
     lost_after_s: Mapping[str, float] = field(default_factory=dict)
     added: Mapping[str, Sequence[Check]] = field(default_factory=dict)
+    emulated: frozenset[str] = frozenset()

@@ -55,8 +55,8 @@ class Supervisor:
         self._holders = own.holders if limits.on_wall else {}
         self._widest_rad = limits.steering_limit_rad + 1e-9
         self.left_out = Exclusion(own.estimated, on_wall=limits.on_wall)
-        samples = SensorStatus(stale_s, own.gap_s, own.brought)
-        self._pace, self.observers = LoopPause(), ObserverCheck()
+        self._pace, self.observers = LoopPause(own.emulated), ObserverCheck()
+        samples = SensorStatus(stale_s, own.gap_s, own.brought, self._pace.lost_ns)
         self._servos = servos = ServoCheck(stale_s.pop("servos", None), self._pace, limits.servo_ids)
         self._agreement = (
             None
@@ -114,6 +114,7 @@ class Supervisor:
         """
         for cycle.source, check in self.in_order:
             check.on_samples(cycle)
+        cycle.stops = self._pace.excused(cycle.stops)
         cycle.must_go_on(self._pace.beside(cycle.inputs.t_ns))
 
     def check_estimate(self, cycle: Cycle) -> None:
@@ -138,6 +139,10 @@ class Supervisor:
             return event
         message = event.message + look_at(self._holders, "if it slides, look")
         return replace(event, source=together((event.source, *self._holders)), message=message)
+
+    def excuse(self, device: str) -> str:
+        """Text: by how much this computer was late, where a silent device is emulated; else empty."""
+        return self._pace.excuse(device)
 
     @property
     def doubted(self) -> Mapping[str, bool]:

@@ -1,21 +1,28 @@
 """Checks whether the control loop itself paused: the program was stopped, or the computer was too busy.
 
 During a pause the servos' watchdogs trip and buffers overflow: healthy devices look silent or jump. So a long
-pause stops the robot with its own reason, and a shorter one is mentioned with the reason of a stop.
+pause stops the robot with its own reason, and a shorter one is mentioned with the reason of a stop. Time that
+the kernel says was lost (`Inputs.lost_ns`) counts for no device as silence.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Collection, Mapping
+
 from hil.core.clock import NS_PER_S
 from hil.core.interfaces import ReportStop
-from hil.core.signals import Event
-from hil.loop.cycle_data import Check, Cycle
+from hil.core.signals import Event, Inputs
+from hil.loop.cycle_data import SILENT, Check, Cycle
+from hil.support.lost_time import LOOP
 
 HELD_UP_NS = 500_000_000
 _HOLDS_UP_NS = 20_000_000
 """Time of one device's read that is reported."""
 _PAUSE_NS, _PAUSE_CYCLES, _FRESH_NS = 60_000_000, 3, 1_000_000_000
 """Pauses mentioned in a stop: least duration (ns) and cycles, and longest time since their end (ns)."""
+_LATE_NS = 100_000_000
+"""Time lost in the last second from which on a silence of served devices is this computer's."""
 
 
 def stood_still(gap_ns: int) -> str:
@@ -27,9 +34,14 @@ def stood_still(gap_ns: int) -> str:
 
 
 class LoopPause(Check):
-    """Checks the cycle times of one run."""
+    """Checks the cycle times of one run.
 
-    def __init__(self) -> None:
+    Args:
+        emulated: emulated devices. In real time another process serves them, which may be late itself.
+    """
+
+    def __init__(self, emulated: Collection[str] = ()) -> None:
+        self._emulated = frozenset(emulated)
         self.reset()
 
     def reset(self) -> None:
@@ -37,6 +49,12 @@ class LoopPause(Check):
         self._last_ns: int | None = None
         self._cycle_ns = self._ended_ns = self._lasted_ns = 0
         self._reported_ns: dict[str, int] = {}
+        self._lost_ns = self._lost_served_ns = self._late_ns = 0
+        self._recent: deque[tuple[int, int]] = deque()
+
+    def lost_ns(self, name: str) -> int:
+        """Time since the previous cycle that this computer took from the exchange with a device, ns."""
+        return self._lost_served_ns if name in self._emulated else self._lost_ns
 
     def ended_at(self, t_ns: int) -> int:
         """Length (ns) of the pause that ended with the cycle at `t_ns`; 0 without one."""
@@ -44,9 +62,22 @@ class LoopPause(Check):
 
     def on_samples(self, cycle: Cycle) -> None:
         """Check the time of the cycle, and report devices that hold up the loop."""
+        self._count_lost(cycle.inputs)
         self.judge(cycle.inputs.t_ns, cycle.stop)
         for device, took_ns in cycle.inputs.slow_ns.items():
             self._report(device, took_ns, cycle)
+
+    def _count_lost(self, inputs: Inputs) -> None:
+        """Take what was lost since the previous cycle, at most its length; sum it over a second."""
+        t_ns, lost = inputs.t_ns, inputs.lost_ns
+        gap_ns = 0 if self._last_ns is None else t_ns - self._last_ns
+        self._lost_ns = min(lost.get(LOOP, 0), gap_ns)
+        self._lost_served_ns = min(sum(lost.values()), gap_ns)
+        if self._lost_served_ns:
+            self._recent.append((t_ns, self._lost_served_ns))
+            self._late_ns += self._lost_served_ns
+        while self._recent and t_ns - self._recent[0][0] > _FRESH_NS:
+            self._late_ns -= self._recent.popleft()[1]
 
     def _report(self, device: str, took_ns: int, cycle: Cycle) -> None:
         """Report a device that took too long to be read, at most once a second."""
@@ -79,9 +110,30 @@ class LoopPause(Check):
     def beside(self, t_ns: int) -> str:
         """Text on a recent pause, for a stop with another reason; empty without a pause."""
         if not self._lasted_ns or t_ns - self._ended_ns > _FRESH_NS:
-            return ""
+            return f"; {self._late_in_words()}" if self._late_ns > _LATE_NS else ""
         return (
             f"; the control loop had stood still for {self._lasted_ns / NS_PER_S:.2f} s just before. Where "
             "no device held it up, look first for what else ran on this computer: it makes healthy devices "
             "look silent"
+        )
+
+    def excuse(self, device: str) -> str:
+        """Text: by how much this computer was late, where a silent device is emulated; else empty."""
+        late = self._late_ns > _LATE_NS and device in self._emulated
+        return f"{self._late_in_words()}. Meanwhile:" if late else ""
+
+    def excused(self, stops: Mapping[str, str]) -> dict[str, str]:
+        """Messages of stop conditions by reason; those of excused devices become `held_up`."""
+        found, first = dict(stops), ""
+        for reason, said in stops.items():
+            silent = reason.partition("_")[2] if reason.startswith(SILENT) else ""
+            if excuse := self.excuse(silent):
+                del found[reason]
+                first += f"; {said}" if first else f"{excuse} {said}"
+        return {"held_up": first, **found} if first and "held_up" not in stops else found
+
+    def _late_in_words(self) -> str:
+        return (
+            f"this computer was late by {self._late_ns / NS_PER_S:.2f} s in the last second: other programs "
+            "took the processor from the control loop, or from the emulated devices; end them"
         )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from hil.core.signals import SERVOS, Event, Inputs, Status
 from hil.loop.cycle_data import Check, Cycle
 
-_WINDOW_NS, _SHARE, _FEWEST_READS = 500_000_000, 0.1, 20
-"""Time over which lost reads are counted, share that is reported, and least number of reads."""
+_WINDOW_NS, _SHARE, _FEWEST_READS, _LOST_NS = 500_000_000, 0.1, 20, 15_000_000
+"""Time over which lost reads are counted, share that is reported, least number of reads, and time that this
+computer may lose meanwhile (ns): what it loses looks like lost reads."""
 
 
 class LostReads(Check):
@@ -23,12 +24,13 @@ class LostReads(Check):
     def reset(self) -> None:
         """Clear the state of the run."""
         self._began_ns: int | None = None
-        self._reads, self._lost = 0, [0] * len(SERVOS)
+        self._reads, self._lost, self._lost_ns = 0, [0] * len(SERVOS), 0
         self._told: set[int] = set()
 
     def on_samples(self, cycle: Cycle) -> None:
         """Count this cycle's reads; report each servo once."""
         inputs = cycle.inputs
+        self._lost_ns += sum(inputs.lost_ns.values())
         for sample in inputs.servos:
             self._reads += 1
             if sample.status.count(Status.OK) < len(SERVOS):
@@ -37,8 +39,10 @@ class LostReads(Check):
         if self._began_ns is None:
             self._began_ns = inputs.t_ns
         if inputs.t_ns - self._began_ns >= _WINDOW_NS:
-            self._judge(inputs, cycle.events)
+            if self._lost_ns <= _LOST_NS:
+                self._judge(inputs, cycle.events)
             self._began_ns, self._reads, self._lost = inputs.t_ns, 0, [0] * len(SERVOS)
+            self._lost_ns = 0
 
     def _judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Report who misses most: one that breaks off a reply loses those behind it, too, now and then."""

@@ -20,6 +20,8 @@ _NEVER_NS = 1 << 62
 _HOST_SHARE = 0.85
 """Required share of a healthy sensor's samples: a busy host loses some by itself."""
 _PUNCTUAL = 0.97
+_LOST_NS = nanoseconds(0.03)
+"""Time of a window that this computer may lose; a window in which it lost more is not evaluated."""
 _SETTLED_NS = 700_000_000
 """Settling time after the first good sample: a camera's confidence is lower until then."""
 
@@ -56,7 +58,7 @@ class _Stream:
 
     def begin(self, t_ns: int) -> None:
         """Begin a new window."""
-        self.good, self.cycles, self.ends_ns = 0, 0, t_ns + _WINDOW_NS
+        self.good, self.cycles, self.lost_ns, self.ends_ns = 0, 0, 0, t_ns + _WINDOW_NS
         self.youngest_ns = _NEVER_NS
 
 
@@ -81,7 +83,7 @@ class SensorRate(Check):
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Check one cycle's samples; adds findings to `events`."""
-        t_ns = inputs.t_ns
+        t_ns, lost_ns = inputs.t_ns, sum(inputs.lost_ns.values())
         for stream in self._streams:
             for sample in stream.among(inputs):
                 if sample.status is _OK or worst(sample) is _OK:
@@ -94,8 +96,9 @@ class SensorRate(Check):
                         stream.settled_ns = t_ns + _SETTLED_NS
                         stream.begin(stream.settled_ns)
             stream.cycles += 1
+            stream.lost_ns += lost_ns
             if t_ns >= stream.ends_ns:
-                if stream.cycles >= stream.punctual:
+                if stream.cycles >= stream.punctual and stream.lost_ns <= _LOST_NS:
                     self._conclude(stream, t_ns, events)
                 stream.begin(t_ns)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from hil.core.clock import NS_PER_S, nanoseconds
@@ -35,6 +35,7 @@ class SensorStatus(Check):
             has delivered.
         brought: sensors of other packages, and fields that they do not measure; all other fields of their
             samples are checked for NaN and infinity.
+        lost_ns: by sensor, time since the previous cycle in which it could not be heard, ns.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class SensorStatus(Check):
         stale_s: Mapping[str, float],
         gap_s: Mapping[str, float] | None = None,
         brought: Mapping[str, Collection[str]] | None = None,
+        lost_ns: Callable[[str], int] = lambda name: 0,
     ) -> None:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
         warn_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
@@ -52,7 +54,7 @@ class SensorStatus(Check):
             for kind in (known[name] for name in (*known, *further(self._warn_ns)))
             if not kind.moves_robot
         ]
-        self._brought = brought or {}
+        self._brought, self._lost_ns = brought or {}, lost_ns
         self.reset()
 
     def reset(self) -> None:
@@ -73,6 +75,8 @@ class SensorStatus(Check):
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Check one cycle's samples; adds findings to `events`."""
         t_ns = inputs.t_ns
+        if inputs.lost_ns:
+            self._excuse()
         for name, among, labels, ages in self._channels:
             good, samples = False, among(inputs)
             if not samples and not ages:
@@ -96,6 +100,12 @@ class SensorStatus(Check):
                 last_ns, self._last_any_ns[name] = self._last_any_ns.get(name, t_ns), t_ns
                 if not ages and t_ns - last_ns > _FORGOTTEN_NS:
                     events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
+
+    def _excuse(self) -> None:
+        """Let time that this computer lost count for no sensor as silence."""
+        for heard_ns in (self._last_ok_ns, self._last_any_ns):
+            for name in heard_ns:
+                heard_ns[name] += self._lost_ns(name)
 
     def _search(self, name: str, samples: Sequence[Any], t_ns: int, events: list[Event]) -> None:
         """Report each field with NaN or infinity and a good status once."""

@@ -61,6 +61,7 @@ class ServoCheck(Check):
         self._asked_since_ns: list[int | None] = [None] * 4
         self._asked_at_rad = [0.0] * 4
         self._complete_ns: int | None = None
+        self._lost_ns = 0
         self._excused = self.waits = False
         self._missed: dict[int, tuple[int, Status]] = {}
         self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
@@ -106,24 +107,29 @@ class ServoCheck(Check):
     def check_silence(self, inputs: Inputs, stop: ReportStop) -> None:
         """Stop with `stale_servos` if the last complete read is too old.
 
-        The first pause of the loop since that read does not count: the servos were not read in it.
+        The first pause of the loop since that read does not count: the servos were not read in it. Nor does
+        time that this computer has lost; the wheels wait all the same.
         """
         if self._stale_ns is None:
             return
         if self._complete_ns is None:
             self._complete_ns = inputs.t_ns
+        lost_ns = self._pause.lost_ns("servos")
         if paused_ns := 0 if self._excused else self._pause.ended_at(inputs.t_ns):
             self._complete_ns, self._excused = self._complete_ns + paused_ns, True
+        else:
+            self._lost_ns += lost_ns
         for sample in inputs.servos:
             if sample.status == _ALL_OK:
                 self._complete_ns, self._missed, self._excused = inputs.t_ns, {}, False
+                self._lost_ns = 0
                 continue
             for j, status in enumerate(sample.status):
                 if status is not Status.OK:
                     self._missed[j] = (self._missed.get(j, (0, status))[0] + 1, status)
         silent_ns = inputs.t_ns - self._complete_ns
         self.waits = silent_ns > _WAITS_SHARE * self._stale_ns
-        if silent_ns > self._stale_ns:
+        if silent_ns - self._lost_ns > self._stale_ns:
             stop("stale_servos", f"no complete servo read for {silent_ns / NS_PER_S:.3f} s: {self._failed()}")
 
     def _failed(self) -> str:
