@@ -198,9 +198,11 @@ class ControlLoop:
         with self._undivided():
             if self.rig.servos is not None:
                 self.rig.servos.stop()
-            hold = self.pipeline.supervisor.checks.hold
-            if isinstance(stop, SafetyStop) and presses_harder(stop.reason, hold):
+            supervisor = self.pipeline.supervisor
+            if isinstance(stop, SafetyStop) and presses_harder(stop.reason, supervisor.checks.hold):
                 self.rig.brace()
+            if supervisor.slide is not None and supervisor.slide.push_n is not None:
+                self.rig.push(supervisor.slide.push_n)
             event = Event(inputs.t_ns, "error", source, str(stop))
             zero = np.zeros(4)
             nothing = Measurements(inputs.cycle, inputs.t_ns, added=inputs.added)

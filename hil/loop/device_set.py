@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
 from hil.core.clock import Clock
-from hil.core.errors import DeviceError
+from hil.core.errors import DeviceError, HilError
 from hil.core.interfaces import Actuators, Device, Holding, Sensor
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, Inputs
@@ -97,6 +98,13 @@ class DeviceSet:
         for kind, device in self.sensors.items():
             if kinds()[kind].holds_robot:
                 cast("Holding[Any]", device).brace()
+
+    def push(self, force_n: float) -> None:
+        """Command a force of the propellers against a slide. Never raises."""
+        propellers = self.get("thrust")
+        if propellers is not None:
+            with contextlib.suppress(HilError):
+                propellers.set_force_n(force_n)
 
     def actuators(self) -> Actuators:
         """The servos. Raises `DeviceError` if the bench has none."""

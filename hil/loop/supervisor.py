@@ -30,6 +30,7 @@ from hil.loop.checks.path_error import PathCheck
 from hil.loop.checks.sensor_rate import SensorRate
 from hil.loop.checks.sensor_status import SensorStatus
 from hil.loop.checks.servos import ServoCheck
+from hil.loop.checks.slide import SlideCheck
 from hil.loop.checks.state_valid import ObserverCheck, UsableCheck
 from hil.loop.cycle_data import NO_INFLATION, Check, Cycle, LastCycle
 from hil.loop.safety import Checks, SafetyLimits
@@ -46,6 +47,7 @@ class Supervisor:
         in_order: the checks, the most serious first: the first reason to stop names the stop.
         left_out: devices that are excluded.
         observers: check of the estimates that are not followed.
+        slide: check for slides by two sensors; None for a robot that cannot fall.
         last: data from the previous cycle.
     """
 
@@ -63,6 +65,17 @@ class Supervisor:
             if own.motion is None
             else AgreementCheck(own.motion, own, servos, self.left_out, self._holders)
         )
+        self.slide = (
+            SlideCheck(
+                own.motion.slide(),
+                own.motion.radius_m,
+                own.hold,
+                tuple(self._holders),
+                look_at(self._holders, "look"),
+            )
+            if own.motion is not None and own.hold is not None and own.hold.can_fall
+            else None
+        )
         if own.estimate is not None:
             own.estimate.excluded, own.estimate.holders = self.left_out, tuple(self._holders)
             own.estimate.advice = look_at(self._holders, "if it slides, look")
@@ -78,6 +91,7 @@ class Supervisor:
             own.wheels,
             own.steering,
             self._agreement,
+            self.slide,
             FrameMove(self.left_out),
             DamagedReports(),
             UsableCheck(),

@@ -120,6 +120,26 @@ class Statics:
                 return math.inf
         return least_n
 
+    def push_against_slide_n(self, force_n: float, thrust_n: float, heading_rad: float, *, up: bool) -> float:
+        """Set-point of the propellers (N) that holds a robot which slides at the set-point `thrust_n`.
+
+        A slide up shows that they truly push by more than weight and friction together: the new set-point
+        then carries at least the weight, and holds a robot whose propellers are right after all. A slide
+        down shows too little push or too little force: the new one carries the weight and half of the
+        friction.
+
+        Args:
+            force_n: force of the fan towards the surface.
+            thrust_n: present set-point of the propellers along body x.
+            heading_rad: heading of the body on the surface.
+            up: whether the robot slides along body x, not against it.
+        """
+        weight_n = -self._tangential_n(0.0, heading_rad)[0]
+        holds_n = self.friction * max(force_n + self._press_n, 0.0)
+        if not up:
+            return max(weight_n + 0.5 * holds_n, thrust_n)
+        return thrust_n * max(weight_n, 0.0) / max(weight_n + holds_n, 1e-9)
+
     def force_for_n(self, utilisation: float, thrust_n: float, heading_rad: float) -> float:
         """Least force of the fan, N, that holds with every wheel at most at this utilisation; `inf`: none."""
         least_n = force_n = max(self.needed_n(thrust_n, heading_rad), 1.0)

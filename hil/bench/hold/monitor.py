@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.frame_jumps import FrameJumps
 from hil.bench.hold.motion_since_stop import FEWEST_FOR_NOISE, JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
+from hil.bench.hold.slide_watch import SlideWatch
 from hil.bench.hold.tilt_check import TiltWatch
 from hil.bench.loop_settings import can_fall
 from hil.bench.model import BenchModel
@@ -148,7 +149,7 @@ class HoldMonitor(Sink):
         self._reads, self._unread = 0, Counter[str]()
         self._pressed_ns: int | None = None
         self._moving = self._seen_moving = False
-        self._jumps = FrameJumps()
+        self._jumps, self._slides = FrameJumps(), SlideWatch(model, self._seeing)
         self._let_go = False
         self.last_state: RobotState | None = None
 
@@ -161,6 +162,7 @@ class HoldMonitor(Sink):
             self._press.heading_rad = heading_rad
             self.last_state, estimated = record.state, pose[:2]
         self.tilt.saw(inputs.imu)
+        self._slides.drove(record)
         passed, t_ns = self._travel.passed, inputs.t_ns
         for name, among, value_of, is_place in self._motion_sources:
             for sample in among(inputs):
@@ -236,6 +238,7 @@ class HoldMonitor(Sink):
             for name, kind in self._seeing.items()
         }
         self._press.begin(for_good=for_good)
+        self._slides.begin()
         self._pressed_ns = None
         self._felt_m_s2.clear()
         self._reads, self._unread = 0, Counter()
@@ -276,11 +279,18 @@ class HoldMonitor(Sink):
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 
     def _press_harder(self, now_ns: int, began_ns: int) -> None:
-        """Raise the fan, once a check, if the force is too small or the robot slides after it has stopped."""
-        slides = self._seen_moving and now_ns - began_ns > _STOPPED_NS
+        """Raise the fan, once a check, if the force is too small or the robot slides after it has stopped.
+
+        The propellers are set against a slide that two sensors show.
+        """
+        along_m = self._slides.along_m
+        slides = bool(along_m) or (self._seen_moving and now_ns - began_ns > _STOPPED_NS)
         if self._can_fall and self._pressed_ns is None and (slides or self._press.lacks):
             self._pressed_ns = now_ns
             self._rig.brace()
+        push_n = self._press.push_against_n(along_m) if self._can_fall else None
+        if push_n is not None:
+            self._rig.push(push_n)
 
     def _grounds(self, t_ns: int, seen: Collection[str], places: Collection[str]) -> str:
         """Text with the evidence that the robot is held."""
@@ -348,9 +358,10 @@ class HoldMonitor(Sink):
         self._reads += 1
         self._unread.update(name for name, known in zip(SERVOS, read, strict=True) if not known)
         seen = [(JOINTS, hold.position_rad)] if read.all() else []
-        for name in self._seeing:
-            if name != JOINTS:
-                seen += [(name, value) for value in self._motion_values(name)]
+        samples = {name: self._samples(name) for name in self._seeing if name != JOINTS}
+        for name, some in samples.items():
+            seen += [(name, value) for value in self._motion_values(name, some)]
+        self._slides.saw(hold, samples)
         for name, value in seen:
             trails[name].add(now_ns, value)
             if name in self._travel.names:
@@ -358,15 +369,19 @@ class HoldMonitor(Sink):
         for trail in trails.values():
             trail.forget(now_ns - trail.window_ns)
 
-    def _motion_values(self, name: str) -> list[Array]:
-        """Motion values of a sensor since the last read; none if its driver raises any exception."""
+    def _samples(self, name: str) -> Sequence[Any]:
+        """Samples of a sensor since the last read; none if its driver raises any exception."""
         try:
-            samples = self._rig.get(name).read()
+            samples: Sequence[Any] = self._rig.get(name).read()
         except HilError:
-            return []
+            return ()
         except Exception:  # raised by a driver of another package: the check continues with the others
             LOG.warning("%s: its driver failed while the hold was checked", name, exc_info=True)
-            return []
+            return ()
+        return samples
+
+    def _motion_values(self, name: str, samples: Sequence[Any]) -> list[Array]:
+        """Motion values of a sensor's samples."""
         for sample in samples:
             if isinstance(sample, ImuSample) and sample.status is Status.OK:
                 self._felt_m_s2.append(_felt_m_s2(sample))

@@ -111,6 +111,10 @@ class AdhesionWatch(Check):
         if self._fan is not None:
             self._judge_controller(self._fan, force_n, stop)
 
+    def push_against_n(self, along_m: float) -> float | None:
+        """Set-point of the propellers against a slide (m along body x), N; None where it stays as it is."""
+        return self.limits.push_against_n(along_m, self._believed.force_n, self.heading_rad)
+
     def _forces(self) -> dict[str, float]:
         """The newest force by each measurement, N."""
         cells = {CELLS: self._cells_n} if math.isfinite(self._cells_n) else {}

@@ -85,6 +85,22 @@ class AdhesionLimits:
             return math.nan
         return self.full_thrust_n * sample.throttle**2
 
+    def push_against_n(self, along_m: float, force_n: float, heading_rad: float) -> float | None:
+        """Set-point of the propellers against a slide (m along body x), N; None where it stays as it is.
+
+        Args:
+            along_m: slide, of which only the direction counts.
+            force_n: adhesion force that is believed; NaN counts as none.
+            heading_rad: heading of the body.
+        """
+        if not self.nominal_thrust_n or not along_m:
+            return None
+        pressed_n = force_n if math.isfinite(force_n) else 0.0
+        push_n = self.statics.push_against_slide_n(
+            pressed_n, self.nominal_thrust_n, heading_rad, up=along_m > 0.0
+        )
+        return min(push_n, self.full_thrust_n)
+
     def pushes_too_much(self, push_n: float) -> bool:
         """Whether the reported push exceeds the commanded one so far that it cannot be real.
 

@@ -75,20 +75,20 @@ class MocapAgreement:
         camera, rolled: the two sums.
         ways_m: distances over which camera and wheels have been compared since `reset`.
         allowed: permitted differences.
-        track: recent poses of motion capture.
+        camera_track, track: recent poses of camera and motion capture.
     """
 
     def __init__(self, wheels: WheelTrack, seen: MocapTolerances, *, creep: float) -> None:
         self._wheels, self.allowed, self._creep = wheels, seen, creep
         self.camera = Sum(CAMERA, CAPTURE, seen.warn_m, seen.stop_m)
         self.rolled = Sum(CAPTURE, WHEELS, seen.slipped_warn_m, seen.slipped_stop_m)
-        self._camera_track, self.track = PoseTrack(), PoseTrack()
+        self.camera_track, self.track = PoseTrack(), PoseTrack()
         self._leaps = (Relocalisation(), Relocalisation())
         self.reset()
 
     def reset(self) -> None:
         """Clear the state of the run."""
-        for part in (self.camera, self.rolled, self._camera_track, self.track, *self._leaps):
+        for part in (self.camera, self.rolled, self.camera_track, self.track, *self._leaps):
             part.reset()
         self._last: list[tuple[int, Kept, Kept] | None] = [None, None]
         self.ways_m = [0.0, 0.0]
@@ -96,12 +96,12 @@ class MocapAgreement:
 
     def take(self, camera: tuple[PoseMeasurement, ...], capture: tuple[PoseMeasurement, ...]) -> None:
         """Add the poses of one cycle."""
-        self._camera_track.take(camera)
+        self.camera_track.take(camera)
         self.track.take(capture)
 
     def compare(self) -> bool:
         """Add a step of each pair, if enough time has passed; return whether a step was added."""
-        camera, wheels = self._step(0, self._camera_track), self._step(1, self._wheels)
+        camera, wheels = self._step(0, self.camera_track), self._step(1, self._wheels)
         if camera is not None:
             self._add_camera(*camera)
         if wheels is not None:
@@ -110,7 +110,7 @@ class MocapAgreement:
 
     def unseen(self, pair: Sum) -> bool:
         """Whether a pair includes wheels that may have slipped before the camera delivered poses."""
-        return pair is self.rolled and not self._camera_track.covers(pair.since_ns)
+        return pair is self.rolled and not self.camera_track.covers(pair.since_ns)
 
     def ways(self) -> tuple[complex, complex]:
         """Displacements of camera and wheels since `reset` while captured (m, motion capture's axes)."""

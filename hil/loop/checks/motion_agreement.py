@@ -24,6 +24,7 @@ from hil.loop.checks.disagreement import (
     Sum,
 )
 from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
+from hil.loop.checks.slide import Slide
 from hil.robot.kinematics import WheelGeometry
 
 GYRO = MotionSource("imu", "the gyro")
@@ -94,6 +95,7 @@ class MotionCheck:
 
     Attributes:
         capture: motion capture against camera and wheels.
+        radius_m: mean radius of the wheels.
     """
 
     def __init__(
@@ -107,6 +109,7 @@ class MotionCheck:
         self._on_wall = on_wall
         self.honest = h = honest if honest is not None else Tolerances()
         self._wheels, self._gyro = WheelTrack(geometry), GyroTrack()
+        self.radius_m = float(geometry.radius_m.mean())
         self._arm_m = float((geometry.x_m**2 + geometry.y_m**2).mean() ** 0.5)
         self._way = Sum(CAMERA, WHEELS, h.warn_m, h.stop_m)
         self._camera_wheels = Sum(CAMERA, WHEELS, h.warn_rad, h.stop_rad, turns=True)
@@ -144,6 +147,10 @@ class MotionCheck:
         if measurements.gyro:
             looked |= self._feel(measurements.gyro[-1].stamp.t_ns)
         return self._doubts(measurements.t_ns) if looked else ()
+
+    def slide(self) -> Slide:
+        """The excess of camera and motion capture over the wheels, by the tracks of this check."""
+        return Slide(self._wheels, self.capture.camera_track, self.capture.track)
 
     def leave_out(self, name: str) -> None:
         """Exclude a device from all comparisons."""

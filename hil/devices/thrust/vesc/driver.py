@@ -32,8 +32,9 @@ _RUNNING = 0.05
 """Share of the full speed."""
 _DOUBTS = 3
 """Number of contradicted reports in a row after which a new set-point is taken back."""
-_UNHEARD_NS, _WATCHED_NS = nanoseconds(0.6), nanoseconds(4.0)
-"""Time that a set-point waits for the voltage of running propellers; time that it is watched for."""
+_UNHEARD_NS, _SETTLES_NS, _WATCHED_NS = nanoseconds(0.6), nanoseconds(1.5), nanoseconds(4.0)
+"""Time that a set-point waits for the voltage of running propellers, and for a steady speed: before that the
+comparison is coarse; time that it is watched for."""
 
 
 class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
@@ -71,6 +72,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         self._volts = {one: SteadyVolts() for one in self._config.controller_ids}
         self._volts_v = dict.fromkeys(self._config.controller_ids, math.nan)
         self._steady = {one: Steadiness(self._ratings) for one in self._config.controller_ids}
+        self._settled = dict.fromkeys(self._config.controller_ids, False)
         self._doubts, self._trouble, self._share = 0, "", math.nan
         self._wish: SetPoint | None = None
         self._wished_ns = self._watched_ns = 0
@@ -140,7 +142,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
                 status = Status.IMPLAUSIBLE
             elif self._stuck[one].stuck(said, seen_ns) and abs(shares[-1]) > _RUNNING:
                 status = Status.FROZEN
-            steady = self._steady[one].follow(seen_ns, now)
+            steady = self._settled[one] = self._steady[one].follow(seen_ns, now)
             found.append((one, cross_check(self._ratings, now, steady=steady)))
         self._newest, self._latest_ns = {}, t_ns
         self._take_checks(found)
@@ -166,8 +168,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         commander = self._must_be_open()
         sent = commander.status().get("sent")
         if self._wish is not None:
-            known = all(math.isfinite(v) for v in self._volts_v.values())
-            if self._share <= _RUNNING or (known and not self._doubts) or self._waited(now_ns, known):
+            if self._share <= _RUNNING or self._compared(now_ns):
                 with contextlib.suppress(DeviceError):  # the daemon has no report of them yet
                     commander.set(self._wish)
                     self._wish, self._before, self._watched_ns = None, sent, now_ns + _WATCHED_NS
@@ -178,8 +179,12 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
             else:
                 commander.set(SetPoint(*self._before))
 
-    def _waited(self, now_ns: int, known: bool) -> bool:
-        return not known and now_ns - self._wished_ns > _UNHEARD_NS
+    def _compared(self, now_ns: int) -> bool:
+        """Whether voltage and speed agree at a steady speed, or cannot be compared."""
+        waited_ns = now_ns - self._wished_ns
+        if not all(math.isfinite(v) for v in self._volts_v.values()):
+            return waited_ns > _UNHEARD_NS
+        return not self._doubts and (all(self._settled.values()) or waited_ns > _SETTLES_NS)
 
     def set_force_n(self, force_n: float) -> None:
         """Command a force; for one out of range it raises `UsageError` and sends nothing."""

@@ -1,0 +1,50 @@
+"""A robot that wrong propellers let slide is held again by fan and propellers, while physics allows it."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from wrong_numbers import BRIEF, Case, drive
+
+import hil
+from hil.core.errors import HilError
+from hil.procedure.faults.possible_hold import LOST_M, can_be_held, slides_m
+from hil.robot.trajectories import line
+
+IN_MOTION_S, IN_THE_CHECK_S = 1.5, 3.6
+
+
+@pytest.mark.parametrize("plant", ["own", "mujoco"])
+@pytest.mark.parametrize("at_s", [IN_MOTION_S, IN_THE_CHECK_S])
+@pytest.mark.parametrize("factor", [0.42, 2.5])
+def test_propellers_that_push_wrongly_are_set_against_the_slide(factor, at_s, plant):
+    keys = {**BRIEF, "emulation.plant": plant}
+    end = drive(Case("", keys, (f"thrust:wrong@{at_s},factor={factor}",)), seed=8901)
+    assert not end.fallen
+    assert end.held.state == "HELD"
+    assert end.moved_m < 0.001
+
+
+@pytest.mark.parametrize("spec", ["tracker:wrong@1.3,drift_x_m_s=-0.2", "mocap:wrong@1.3,offset_m=0.015"])
+def test_one_sensor_alone_changes_no_propellers(spec):
+    bench = hil.open_bench("emulated", seed=8902, overrides=BRIEF, faults=[spec])
+    pushes = []
+    with bench:
+        with contextlib.suppress(HilError):
+            bench.drive(
+                line((0, 0, 0), (0.12, 0, 0), duration_s=2.5),
+                feedback="ekf",
+                on_cycle=lambda _: pushes.append(bench.truth().thrust_n),
+            )
+        asked_n = np.mean(pushes)
+        bench.look()
+        assert bench.truth().thrust_n == pytest.approx(asked_n, abs=0.3)
+
+
+def test_what_can_be_held_is_the_range_where_statics_hold_and_a_margin_of_time():
+    statics = [(3.25 * 9.81 + sign * 0.45 * 45.0) / 22.3 for sign in (-1.0, 1.0)]
+    assert [slides_m(share) for share in (statics[0] * 1.02, 1.0, statics[1] * 0.98)] == [0.0] * 3
+    for share in (statics[0] * 0.98, statics[1] * 1.02):
+        assert can_be_held(share)
+        assert not can_be_held(share, watched=False)
+    assert slides_m(4.0) > LOST_M
