@@ -132,7 +132,7 @@ class Statics:
             force_n: force of the fan towards the surface.
             thrust_n: present set-point of the propellers along body x.
             heading_rad: heading of the body on the surface.
-            up: whether the robot slides along body x, not against it.
+            up: True if the robot slides along body x, False if against it.
         """
         weight_n = -self._tangential_n(0.0, heading_rad)[0]
         holds_n = self.friction * max(force_n + self._press_n, 0.0)

@@ -18,7 +18,7 @@ class _Thread:
     """The time for which one thread has waited for a processor.
 
     Args:
-        path: of the kernel's count.
+        path: path of the kernel's count.
     """
 
     def __init__(self, path: str) -> None:

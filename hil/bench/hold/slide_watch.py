@@ -14,7 +14,7 @@ from hil.core.signals import CycleRecord, Inputs, ServoHold, ServoSample, Stamp,
 from hil.loop.alignment import Alignment
 
 _RESTS_NS = nanoseconds(0.2)
-"""By then the wheels rest after a stop, and what both sensors see is a slide."""
+"""Time after a stop by which the wheels rest: what both sensors see then is a slide."""
 _TURNS_RAD_S = 0.2
 _POSES = ("tracker", "mocap")
 

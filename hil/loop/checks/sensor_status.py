@@ -35,7 +35,7 @@ class SensorStatus(Check):
             has delivered.
         brought: sensors of other packages, and fields that they do not measure; all other fields of their
             samples are checked for NaN and infinity.
-        lost_ns: by sensor, time since the previous cycle in which it could not be heard, ns.
+        lost_ns: time since the previous cycle in which a sensor could not be heard, ns, by sensor.
     """
 
     def __init__(

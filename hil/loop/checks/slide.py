@@ -41,7 +41,7 @@ class Slide:
     Attributes:
         excess_m: smaller excess of the two within the newest window, m; 0 where they do not agree on its
             direction, or beyond their tolerance.
-        certain: whether both have shown a slide twice.
+        certain: True if both have shown a slide twice.
     """
 
     def __init__(self, wheels: WheelTrack, camera: PoseTrack, capture: PoseTrack) -> None:

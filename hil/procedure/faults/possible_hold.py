@@ -42,7 +42,7 @@ def slides_m(
         full_n: highest force of the propellers.
         fan_n: force of the fan.
         highest_n: highest force of the fan.
-        watched: whether a bench is open; without one nothing changes.
+        watched: True if a bench is open; without one nothing changes.
     """
     weight_n, aim_n, true_n = mass_kg * _GRAVITY_M_S2, share * push_n, push_n
     best = share * (_LESS if share > 1.0 else full_n / push_n) * push_n
