@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
 
+from hil.bench.cross_checks.gravity import gravity_checks
+from hil.bench.cross_checks.parameters import RESTING, at_rest
+from hil.bench.cross_checks.rest_watch import RestWatch, samples_of
 from hil.bench.doctor.inertial_offsets import InertialWatch
 from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
 from hil.bench.hold.held_devices import HeldDevices
@@ -18,6 +21,7 @@ from hil.bench.model import BenchModel
 from hil.config.estimator import MocapNoise
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock, nanoseconds
+from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike
 from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
@@ -79,6 +83,7 @@ class Bench(HeldDevices):
         undivided: maker of the context of each cycle, as for `ControlLoop`.
         driven_by: name of an external program that drives every trajectory, and the function that queries it;
             None without one.
+        parameters: what the bench takes for granted, and what measurements say about it.
         lost: errors of devices that ended a run of the bench, as texts.
         faults: faults planned for its emulated devices.
         seen: events of warning and above since it was opened.
@@ -126,11 +131,18 @@ class Bench(HeldDevices):
         return self.measured_pose(self._rest(duration_s).mocap)
 
     def _rest(self, duration_s: float) -> Motion:
-        """Let the robot rest, and compare the IMU samples with the record of earlier sessions."""
+        """Let the robot rest, and compare its samples with the bench file and the record."""
         motion = self.observe(duration_s, feedback="odometry")
+        self._cross_check(at_rest(self.config, samples_of(motion.records, RESTING)))
         for changed in self._inertial.rested(motion):
             self._warn(changed, "imu")
         return motion
+
+    def _cross_check(self, found: Iterable[CrossCheck]) -> None:
+        """Add what measurements say about the bench file; warns of contradictions."""
+        texts = {check.text: check.key for check in self.parameters.take(found)}
+        for text, key in texts.items():
+            self._warn(text, key.partition(".")[0])
 
     def measured_pose(self, mocap: Array) -> Array:
         """Pose of the resting robot, (3,): m, m, rad in the wall frame.
@@ -294,7 +306,8 @@ class Bench(HeldDevices):
             drop_old: True to discard samples that the devices have buffered.
 
         Raises:
-            ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
+            ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`; or
+                it is to move by a filter, and measurements contradict the bench file.
             DeviceError: the robot is to move by a filter that uses the IMU, and the IMU deviates far from its
                 record.
         """
@@ -302,9 +315,11 @@ class Bench(HeldDevices):
             self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
             self._hold.tilt.must_agree()
-            if start.feedback != "odometry":
+            filtered = start.feedback != "odometry"
+            if filtered:
                 self._inertial.must_be_usable()
-            until = self._until_tilted(until)
+                self.parameters.must_agree()
+            until = self._until_tilted(until, filtered=filtered)
         self._warn(emulated_hold(self.config))
         warm_up(pipeline, start.state)
         with ExitStack() as stack:
@@ -331,16 +346,20 @@ class Bench(HeldDevices):
             self.lost.append(str(error))
             self.seen.add(Event(self.clock.now_ns(), "error", error.device, str(error)))
 
-    def _until_tilted(self, until: Until) -> Until:
-        """Wrap `until` so that the tilt is checked once more as soon as the IMU has measured enough of it."""
+    def _until_tilted(self, until: Until, *, filtered: bool) -> Until:
+        """Wrap `until` so that gravity is compared with the bench file once more in the first cycles."""
         self._hold.tilt.forget()
-        judged = False
+        judged, rest = False, RestWatch(self.config)
 
         def watched(record: CycleRecord) -> bool:
             nonlocal judged
             if not judged and self._hold.tilt.known:
                 judged = True
                 self._hold.tilt.must_agree()
+            if rest.ends(record):
+                self._cross_check(gravity_checks(self.config, rest.seen))
+                if filtered:
+                    self.parameters.must_agree()
             return until(record)
 
         return watched

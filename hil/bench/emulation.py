@@ -15,6 +15,7 @@ import numpy as np
 from hil.bench.drivers import model_of
 from hil.bench.further_device_errors import named
 from hil.bench.third_party.emulated import parts_of, wrapped_transport
+from hil.bench.true_values import imperfections, true_bench
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
@@ -95,7 +96,7 @@ class Connected:
 
 def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ()) -> World:
     """The robot on its surface at world time 0, without devices."""
-    plan = FaultPlan(faults)
+    config, plan = true_bench(config), FaultPlan(faults)
     if config.emulation.replay is not None:
         from hil.bench.emulation import repeating_robot  # imports readers of every kind of recording
 
@@ -172,8 +173,8 @@ def emulated(
             f"{config.name}: {kind}.model = {model.name!r} cannot be emulated",
             remedy="choose another model for the emulated bench, or a real one",
         )
-    given = config.imperfections(kind)
-    request = EmulationRequest(kind, config.devices()[kind], given, world, name, standard_ports)
+    given, true = imperfections(config, kind), true_bench(config).devices()[kind]
+    request = EmulationRequest(kind, true, given, world, name, standard_ports)
     if model.package != OURS:
         options = call_in_package(kind, model.package, "truth_options", model.truth_options)
         if options is not None:

@@ -18,6 +18,7 @@ from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.load_cells import LoadCellsConfig
 from hil.config.mocap import MocapConfig
+from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import Clock, MonotonicClock
@@ -33,6 +34,7 @@ from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
+from hil.loop.checks.weight import Lifted, WeightCheck
 from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.pose_alignment import Mount
 from hil.loop.realtime import RealTime
@@ -47,6 +49,8 @@ _WHEEL_MODELS = {"exact": "equations"}
 _SIGMAS, _SESSION_SCALE = 4.0, 0.01
 """Limit for good sensors, in standard deviations; difference of a scale between sessions."""
 _CYCLES_LATE = 2.0
+_LEAST_ALONG = 0.5
+"""Share of gravity along the surface from which the drives' work shows the weight."""
 _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
@@ -125,6 +129,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         },
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
+        weight=weight_check(config, geometry) if motion and follows else None,
         added=added_checks(config),
         emulated=frozenset(config.emulated()),
     )
@@ -154,6 +159,24 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
     known = camera is not None and camera.scale_sigma is not None
     scale = believed + _SESSION_SCALE if known else max(believed, MocapTolerances.scale)
     return MotionCheck(geometry, on_wall=config.environment.on_wall, seen=MocapTolerances(scale=scale))
+
+
+def weight_check(config: BenchConfig, geometry: WheelGeometry) -> WeightCheck | None:
+    """The check of the drives' work against the weight; None off a wall, and for a robot on a tether."""
+    servos, push, tilt_rad = config.of(ServosConfig), config.of(ThrustConfig), config.environment.tilt_rad
+    if servos is None or not can_fall(config) or math.sin(tilt_rad) < _LEAST_ALONG:
+        return None
+    model = servo_model(servos.model_number or DEFAULT_MODEL)
+    lifted = Lifted(
+        config.robot.mass_kg,
+        math.sin(tilt_rad),
+        thrust_wanted_n(config),
+        model.motor.torque_constant_n_m_a,
+        float(geometry.radius_m.mean()),
+        config.alignment.drive_sign,
+        ("robot.thrust_compensation",) if push is None else push.scale_keys,
+    )
+    return WeightCheck(lifted, stops=True)
 
 
 def _lost_after_s(config: BenchConfig) -> dict[str, float]:

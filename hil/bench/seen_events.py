@@ -9,6 +9,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.event_rows import GRAVE, EventRows
 from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord, Event
+from hil.core.suspects import SEPARATOR
 
 
 class SeenEvents(Sink):
@@ -18,6 +19,7 @@ class SeenEvents(Sink):
         since_begun_ns: function from a time of the bench's clock, ns, to the time since the bench was opened.
 
     Attributes:
+        contradicting: events that contradict the bench file, by key.
         distrusted: first event of each device whose samples count for nothing from then on.
     """
 
@@ -25,6 +27,7 @@ class SeenEvents(Sink):
         self._since_begun_ns = since_begun_ns
         self._rows = EventRows(GRAVE)
         self.distrusted: dict[str, Event] = {}
+        self.contradicting: dict[str, Event] = {}
 
     def write(self, record: CycleRecord) -> None:
         """Add the events of one cycle."""
@@ -34,6 +37,8 @@ class SeenEvents(Sink):
     def add(self, event: Event) -> None:
         """Add an event."""
         self._rows.add(event, self._since_begun_ns(event.t_ns) / NS_PER_S)
+        for key in filter(None, event.key.split(SEPARATOR)):
+            self.contradicting[key] = event
         if event.distrusts:
             self.distrusted.setdefault(event.source, event)
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,8 +14,12 @@ from hil.cli.options import JSON, OUT, FiniteRange
 from hil.cli.output import print_user_calls
 from hil.core.errors import EXIT_DEVICE, EXIT_PASS
 
+if TYPE_CHECKING:
+    from hil.core.cross_check import CrossCheck
+
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
 
+_STATES = {"confirmed": "green", "unconfirmed": "yellow", "contradicted": "red"}
 _LEAST_WATCH_S = 0.1
 """Shortest watch time: within less, a slow device may send nothing although it works."""
 
@@ -33,6 +39,9 @@ _LEAST_WATCH_S = 0.1
 @JSON
 def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, as_json: bool) -> int:
     """Examine every device of a bench without moving it.
+
+    At the end it lists the numbers of the bench file that scale a result or a safety figure: confirmed by a
+    measurement, contradicted, or unconfirmed.
 
     Ends with 0 when nothing failed (warnings are allowed), else with 3; with 2 where the bench has no device.
     --fix opens no device: it prints udev rules for the adapters that are plugged in (latency timer, access,
@@ -71,11 +80,42 @@ def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, 
                 hints = [f"expected {finding.expected}"] * bool(finding.expected) + [finding.remedy]
                 click.echo(" " * (width + 6) + "; ".join(h for h in hints if h))
         print_user_calls(finding.frames)
+    rows = opened.parameters.rows()
+    if not as_json:
+        _print_parameters(rows)
     failed = [f for f in findings if f.level == "failure"]
     if as_json:
-        result = {"bench": opened.config.name, "ok": not failed, "findings": [f.to_json() for f in findings]}
+        result = {
+            "bench": opened.config.name,
+            "ok": not failed,
+            "findings": [f.to_json() for f in findings],
+            "parameters": [row.to_json() for row in rows],
+        }
         click.echo(json.dumps(result))
     return EXIT_DEVICE if failed else EXIT_PASS
+
+
+def _print_parameters(rows: Sequence[CrossCheck]) -> None:
+    """Print what the bench takes for granted, and what measurements say about it."""
+    from hil.bench.cross_checks.parameters import shown
+
+    if not rows:
+        return
+    click.echo("\nWhat this bench takes for granted:")
+    width = max(len(row.key) for row in rows)
+    for row in rows:
+        about = row.to_json()
+        off = f", {about['difference']:+.3g}" if about["difference"] is not None else ""
+        says = (
+            f"; {shown(about['says'])} would fit"
+            if row.state == "contradicted" and about["says"] is not None
+            else ""
+        )
+        colour = _STATES[row.state]
+        click.echo(
+            f"{click.style(f'{row.state:12}', fg=colour)} {row.key:{width}} "
+            f"{shown(row.value)} ({row.by}{off}{says})"
+        )
 
 
 def _fix(request: BenchRequest, fix: bool, out: Path | None) -> int:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.device import DeviceConfig
+from hil.config.parameter import Parameter, instead, times
 from hil.config.values import PolePairs, Switch, Within
 from hil.robot.motor_cross_checks import DROOP, MotorRatings
 
@@ -33,6 +34,11 @@ class AdhesionConfig(DeviceConfig):
         hot_fet_c: temperature of the power stage above which it is stopped: before a VESC slows the fan down,
             at 85 degC as delivered.
     """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("rated_force_n", (times(2.0), times(0.5), times(1.3)), ("load_cells",)),
+        Parameter("rated_rpm", (times(2.0), times(0.5), times(1.2)), ("load_cells",)),
+    )
 
     force_n: Force | None = None
     highest_force_n: Force = 60.0
@@ -68,6 +74,11 @@ class MotorConfig(AdhesionConfig, DaemonMotorConfig):
         rpm_per_v: speed of the motor per volt, unloaded.
     """
 
+    PARAMETERS = (
+        *AdhesionConfig.PARAMETERS,
+        Parameter("rpm_per_v", (times(2.0), times(0.5), times(1.3)), ("adhesion",)),
+    )
+
     command: Literal["duty", "current", "rpm"] = "duty"
     rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0
 
@@ -101,6 +112,11 @@ class VescConfig(MotorConfig):
         own_id: id of this program in its requests; no controller may have it.
         pole_pairs: pole pairs of the motor: its electrical over its mechanical speed.
     """
+
+    PARAMETERS = (
+        *MotorConfig.PARAMETERS,
+        Parameter("pole_pairs", (instead(7), instead(4), instead(2), instead(1)), ("adhesion",)),
+    )
 
     model: Literal["vesc"] = "vesc"
     controller_id: VescId = 1

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import field_validator
+from pydantic import Field, field_validator
 
+from hil.config.parameter import Parameter, plus, signs
 from hil.config.values import HeadingLimit, Signs, SteeringZero, Strict, Switch, WheelRate, Within
 
 Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
@@ -76,6 +77,12 @@ class AlignmentConfig(Strict):
         steer_zero_rad: servo angle at which the wheel points along body x (`hil run steering_zero` finds it).
     """
 
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("drive_sign", (signs(-1, 1, 1, 1), signs(-1, -1, -1, -1)), ("mocap", "tracker")),
+        Parameter("steer_sign", (signs(1, -1, 1, 1), signs(-1, -1, -1, -1)), ("encoders",)),
+        Parameter("steer_zero_rad", (plus(0.2), plus(0.1, 0.1, 0.1, 0.1), plus(0.0, 1.0)), ("encoders",)),
+    )
+
     drive_sign: Signs = (1, 1, 1, 1)
     steer_sign: Signs = (1, 1, 1, 1)
     steer_zero_rad: tuple[SteeringZero, SteeringZero, SteeringZero, SteeringZero] = (0.0, 0.0, 0.0, 0.0)
@@ -84,7 +91,8 @@ class AlignmentConfig(Strict):
 class EmulationConfig(Strict):
     """The emulated world: only read when at least one device is emulated.
 
-    Every kind of device has a table of its own beside these: true imperfections of the emulated device.
+    Every kind of device has a table of its own beside these: true imperfections of the emulated device, and
+    the true value of any key of the device's table that is wrong in the bench file.
 
     Attributes:
         plant: the physics of body, wheels and surface: `own`, or `mujoco` (extra `mujoco`), an engine that
@@ -101,6 +109,7 @@ class EmulationConfig(Strict):
         replay: recording (of this project, a public pair, or plain CSV) whose motion the robot repeats,
             whatever it is commanded; without it the robot is simulated.
         replay_after_s: world time at which that motion begins; before it the robot stands.
+        environment, robot: true values of keys of these tables that are wrong in the bench file.
     """
 
     plant: Literal["own", "mujoco"] = "own"
@@ -111,6 +120,8 @@ class EmulationConfig(Strict):
     faults: tuple[str, ...] = ()
     replay: str | None = None
     replay_after_s: Annotated[float, Within(0.0, 3600.0, "s of the world")] = 4.0
+    environment: dict[str, Any] = Field(default_factory=dict)
+    robot: dict[str, Any] = Field(default_factory=dict)
 
 
 class RecordConfig(Strict):

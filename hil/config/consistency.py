@@ -130,7 +130,8 @@ def _of_motion(config: BenchConfig) -> Iterator[Problem]:
     if control.wheel_speed_m_s > fastest_m_s * _SAME:
         yield (
             "control.wheel_speed_m_s",
-            f"{control.wheel_speed_m_s:g} m/s is beyond the {fastest_m_s:.3g} m/s of the largest wheel at "
+            f"{control.wheel_speed_m_s:g} m/s is beyond the {fastest_m_s:.3g} m/s of the "
+            "largest wheel (robot.wheel_radius_m) at "
             f"{TOP_WHEEL_RATE_RAD_S:g} rad/s",
         )
     if control.steering_limit_rad > safety.steering_limit_rad * _SAME:
@@ -220,8 +221,9 @@ def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
     if limit_rad is not None and safety.heading_limit_rad > limit_rad * _SAME and not safety.tethered:
         yield (
             "safety.heading_limit_rad",
-            f"{safety.heading_limit_rad:g} rad is beyond {limit_rad:.3g} rad, where the robot of [robot] "
-            "slides down a melamine wall; safety.tethered = true for a robot on a tether",
+            f"{safety.heading_limit_rad:g} rad is beyond {limit_rad:.3g} rad, where a robot of this "
+            "robot.mass_kg, edf_force_n and thrust_compensation slides down a melamine wall; "
+            "safety.tethered = true for a robot on a tether",
         )
     heading_rad = config.environment.start_pose[2]
     if abs(wrap(heading_rad)) > safety.heading_limit_rad:

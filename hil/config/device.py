@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
+from hil.config.parameter import TURNED, Parameter, plus, times
 from hil.config.values import Delay, Strict, UnitQuaternion, Within
 
 Metres = Annotated[float, Within(-5.0, 5.0, "m in the body")]
@@ -23,6 +24,8 @@ class DeviceConfig(Strict):
     """Keys that hold paths: a relative one starts at the bench file's folder."""
     CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ()
     """Keys for the address of an emulated device: free addresses are chosen if only this process uses it."""
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+    """Keys that scale a result or a safety figure."""
     SHARES_PORT_WITH: ClassVar[tuple[str, ...]] = ()
     """Models that may share the serial port of this one: one only writes, the other only reads."""
 
@@ -56,6 +59,10 @@ class MountedConfig(DeviceConfig):
 class ImuConfig(MountedConfig):
     """An inertial unit of any model: the keys that alignment and estimator need."""
 
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("mount_rotation_wxyz", TURNED, ("mocap", "tracker")),
+    )
+
 
 class TrackerConfig(MountedConfig):
     """A tracking camera of any model: the keys that alignment and estimator need.
@@ -67,6 +74,12 @@ class TrackerConfig(MountedConfig):
             given, too.
         latency_s: smallest time from exposure to the host, which no host clock can see.
     """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("mount_rotation_wxyz", TURNED, ("mocap", "imu")),
+        Parameter("mount_position_m", (plus(0.1), plus(0.0, -0.1)), ("mocap", "servos")),
+        Parameter("scale", (times(1.3), times(0.75), times(1.1)), ("mocap", "servos")),
+    )
 
     latency_s: Delay = 0.020
     scale: Annotated[float, Within(0.7, 1.35, "a camera that is further off is broken")] = 1.0

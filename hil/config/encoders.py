@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import model_validator
 
 from hil.config.can_bus import CanConfig, Claim
+from hil.config.parameter import Parameter, order, plus, signs
 from hil.config.values import Angle, FrameOffset, Patience, Signs, Switch, Within
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
@@ -38,6 +39,11 @@ class EncodersConfig(CanConfig):
     """
 
     PATHS: ClassVar[tuple[str, ...]] = ("dbc",)
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("zero_rad", (plus(0.3), plus(0.2, 0.2, 0.2, 0.2)), ("servos",)),
+        Parameter("sign", (signs(1, -1, 1, 1), signs(-1, -1, -1, -1)), ("servos",)),
+        Parameter("signals", (order(3, 2, 1, 0), order(1, 0, 2, 3)), ("servos",)),
+    )
 
     model: Literal["as5045"] = "as5045"
     dbc: str | None = None

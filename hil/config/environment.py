@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from hil.config.parameter import Parameter, instead
 from hil.config.values import Angle, Strict, Within
 
 FLOOR_TILT_RAD = 0.1
@@ -39,6 +40,10 @@ class EnvironmentConfig(Strict):
         x_range_m, y_range_m: the usable area in the wall frame; a start pose outside it is refused, and
             so are references that leave it. Without them there is no bound.
     """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("tilt_rad", (instead(0.0), instead(1.0), instead(math.pi)), ("imu", "tracker")),
+    )
 
     surface: str = Field("melamine", min_length=1)
     tilt_rad: Annotated[float, Within(0.0, 3.1416, "0 floor, pi/2 wall, pi ceiling")] = math.pi / 2.0

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.device import DeviceConfig
+from hil.config.parameter import Parameter, plus, signs, times
 from hil.config.values import Baud, FrameOffset, Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
@@ -30,6 +31,11 @@ class LoadCellsConfig(DeviceConfig):
         open_timeout_s: longest wait for the first sample.
         fail_after_s: uninterrupted silence that raises.
     """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("n_per_count", (times(2.0), times(0.5), signs(-1, 1)), ("adhesion",)),
+        Parameter("zero_n", (plus(30.0), plus(-10.0, -10.0)), ("adhesion",)),
+    )
 
     n_per_count: tuple[
         Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits", smallest=1e-7)],

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from hil.config.device import DeviceConfig
+from hil.config.parameter import Parameter, instead
 from hil.config.values import Delay, Freshness, NetworkPort, Patience, PosesAgain, Within
 
 Body = Annotated[str | int, Within(0, 2**31 - 1, "a streaming id of Motive")]
@@ -39,6 +40,7 @@ class MocapConfig(DeviceConfig):
     """
 
     CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ("command_port", "data_port")
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (Parameter("up_axis", (instead("z"),), ("servos",)),)
 
     model: Literal["natnet"] = "natnet"
     server: str = "127.0.0.1"

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
 from hil.config.environment import LEAST_FRICTION
-from hil.config.values import Strict, Within
+from hil.config.parameter import Parameter, signs, times
+from hil.config.values import RECORDED, Strict, Within
 from hil.core.geometry import Array
 from hil.robot.statics import GRAVITY_M_S2, Statics
 
@@ -43,6 +44,13 @@ class RobotConfig(Strict):
             for the wheel model `creep`.
         supply_v: servo supply.
     """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("mass_kg", (times(0.6), times(0.5), times(2.0)), ("servos",)),
+        Parameter("wheel_radius_m", (times(2.0), times(0.5), times(1.1)), ("mocap", "tracker")),
+        Parameter("wheel_x_m", (times(0.5), signs(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
+        Parameter("wheel_y_m", (times(0.5), signs(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
+    )
 
     name: str = ""
     wheel_x_m: Wheels = (0.1125, -0.1125, -0.1125, 0.1125)
@@ -111,6 +119,16 @@ class RobotConfig(Strict):
         loads = np.array(self.statics(tilt_rad).loads_n(force_n, thrust_n, heading_rad))
         press = force_n + self.weight_n * math.cos(tilt_rad)
         return np.asarray(loads * press / loads.sum() if loads.any() else loads, dtype=np.float64)
+
+    @field_validator("wheel_x_m", "wheel_y_m")
+    @classmethod
+    def _in_their_order(cls, value: Wheels, info: ValidationInfo) -> Wheels:
+        """Wheels in the order FL, BL, BR, FR: mirrored ones turn the other way than the robot."""
+        fl, bl, br, fr = value
+        mirrored = fl < bl and fr < br if info.field_name == "wheel_x_m" else fl < fr and bl < br
+        if info.context != RECORDED and mirrored:
+            raise ValueError("mirrored: x points forwards, y to the left; wheels in the order FL, BL, BR, FR")
+        return value
 
     @model_validator(mode="after")
     def _wheels_span_an_area(self) -> RobotConfig:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hil.config.device import DeviceConfig
+from hil.config.parameter import Parameter, order
 from hil.config.servo_models import ServoModel, model_text, models_text, servo_models
 from hil.config.servo_models.codes import BAUD_CODES, CURRENT_POSITION, EXTENDED, POSITION, WATCHDOG_STEP_S
 from hil.config.values import Patience, Switch, WheelRate, Within
@@ -60,6 +61,11 @@ class ServosConfig(DeviceConfig):
     model: Literal["dynamixel"] = "dynamixel"
     port: str = Field("/dev/ttyUSB0", min_length=1)
     baud: Annotated[int, Within(9600, 4_500_000, "codes of the Baud Rate register")] = 1_000_000
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("drive_ids", (order(3, 2, 1, 0), order(1, 0, 2, 3)), ("mocap", "tracker", "imu")),
+        Parameter("steer_ids", (order(3, 2, 1, 0), order(0, 2, 1, 3)), ("encoders",)),
+    )
+
     drive_ids: Ids = (1, 2, 3, 4)
     steer_ids: Ids = (5, 6, 7, 8)
     steer_mode: Literal["position", "extended", "current_position"] = "position"

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from hil.config.device import DeviceConfig
+from hil.config.parameter import Parameter, times
 from hil.config.values import Baud, Patience, Within
 from hil.core.errors import UsageError
 
@@ -29,8 +30,17 @@ class ThrustConfig(DeviceConfig):
             throttle.
     """
 
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("full_force_n", (times(1.5), times(2.0), times(0.6)), ("servos",)),
+    )
+
     force_n: Thrust | None = None
     full_force_n: Thrust = 39.7
+
+    @property
+    def scale_keys(self) -> tuple[str, ...]:
+        """Keys that scale the push."""
+        return ("thrust.full_force_n",)
 
     def check_force(self, force_n: float, device: str) -> None:
         """Raise `UsageError`, which names the device, for a force that the propellers do not have."""

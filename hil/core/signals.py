@@ -460,6 +460,8 @@ class Event:
 
     Attributes:
         distrusts: True if the samples of the source count for nothing from now on, in this run.
+        key: keys of the bench file that the event contradicts, separated by commas; empty for none.
+        factor: factor by which a contradicted value would fit; 0 where no factor would.
     """
 
     t_ns: int
@@ -467,6 +469,8 @@ class Event:
     source: str
     message: str
     distrusts: bool = False
+    key: str = ""
+    factor: float = 0.0
 
     @property
     def suspects(self) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = {
     "utilisation": _PRESSING,
     "adhesion_disagree": ("adhesion", "load_cells"),
     "thrust_disagree": ("thrust",),
+    "weight": ("thrust", "servos"),
     "battery_low": ("adhesion",),
     "fan_hot": ("adhesion",),
     "hardware_error": ("servos",),

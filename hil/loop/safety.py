@@ -11,6 +11,7 @@ from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
+from hil.loop.checks.weight import WeightCheck
 from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.cycle_data import Check
 
@@ -59,6 +60,7 @@ class Checks:
         hold: check of the adhesion force; None where no sensor measures it.
         lost_after_s: time without any sample, by sensor, after which a robot that follows a pose stops;
             reconnecting a sensor may take longer.
+        weight: work of the drives against the weight; None off a wall.
         added: checks of the device kinds, by kind.
         emulated: emulated devices; in real time the process that serves them may be late itself.
     """
@@ -76,5 +78,6 @@ class Checks:
     gap_s: Mapping[str, float] = field(default_factory=dict)
     brought: Mapping[str, Collection[str]] = field(default_factory=dict)
     lost_after_s: Mapping[str, float] = field(default_factory=dict)
+    weight: WeightCheck | None = None
     added: Mapping[str, Sequence[Check]] = field(default_factory=dict)
     emulated: frozenset[str] = frozenset()

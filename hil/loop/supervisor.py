@@ -26,6 +26,7 @@ from hil.loop.checks.frame_move import FrameMove
 from hil.loop.checks.loop_pause import LoopPause
 from hil.loop.checks.lost_reads import LostReads
 from hil.loop.checks.lost_sensor import LostCheck
+from hil.loop.checks.out_of_plane import OutOfPlane
 from hil.loop.checks.path_error import PathCheck
 from hil.loop.checks.sensor_rate import SensorRate
 from hil.loop.checks.sensor_status import SensorStatus
@@ -82,6 +83,7 @@ class Supervisor:
         found: list[Check | None] = [
             FallCheck(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders),
             own.hold,
+            own.weight,
             self._pace,
             servos,
             LostReads(servos.names),
@@ -93,6 +95,7 @@ class Supervisor:
             self._agreement,
             self.slide,
             FrameMove(self.left_out),
+            OutOfPlane(),
             DamagedReports(),
             UsableCheck(),
             FilterFit(),
@@ -120,9 +123,9 @@ class Supervisor:
         """Check the devices' samples.
 
         Raises:
-            SafetyStop: `adhesion`, those of `hil.loop.checks.adhesion`, `sliding`, `hardware_error`,
-                `stale_servos`, `held_up`, `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree`,
-                `stale_tracker`, `lost_*`, or the reason of a check of a device kind; the message names all
+            SafetyStop: `adhesion`, those of `hil.loop.checks.adhesion`, `weight`, `sliding`,
+                `hardware_error`, `stale_servos`, `held_up`, `blocked`, `servo_jump`, `horn_slip`,
+                `sensors_disagree`, `stale_tracker`, `lost_*`, or the reason of a check of a device kind; the message names all
                 findings. A silent IMU is only an event, and so is a silent camera that the estimate in the
                 loop does not use; for a lasting silence their driver raises `DeviceTimeoutError`.
         """

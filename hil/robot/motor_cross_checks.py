@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-State = Literal["confirmed", "contradicted", "unconfirmed"]
+from hil.core.cross_check import CrossCheck
 
 DROOP = 0.93
 """Speed of a motor at its rated load over that of a free one at the same voltage; an assumption."""
@@ -86,28 +86,6 @@ class Reading(NamedTuple):
     input_v: float = math.nan
     motor_a: float = math.nan
     input_a: float = math.nan
-
-
-class CrossCheck(NamedTuple):
-    """The result of a cross-check of one parameter.
-
-    Attributes:
-        key: key of the parameter in the bench file.
-        value: its value there.
-        state: `confirmed`, `contradicted`, or `unconfirmed` where nothing measures it now.
-        by: the measurement that was compared.
-        says: value for which this measurement speaks; NaN where it gives none.
-        difference: relative difference of the measurements; NaN where it gives none.
-        text: the contradiction in words, with keys; empty for none.
-    """
-
-    key: str
-    value: float
-    state: State
-    by: str = ""
-    says: float = math.nan
-    difference: float = math.nan
-    text: str = ""
 
 
 def speed_by_voltage_rpm(ratings: MotorRatings, now: Reading) -> float:

@@ -42,6 +42,8 @@ from hil.procedures.bring_up.report import (
     draw_directions,
     draw_streams,
     note_exchanged,
+    note_explanation,
+    note_other_values,
     stream_table,
 )
 from hil.procedures.bring_up.streams import Stream, judge_stream
@@ -53,6 +55,8 @@ _PUSHES = 0.5
 _CLEAR = 0.5
 """Least measured value of a clear direction: below it something else moved, or hardly anything."""
 _MOST_DRIFT_PPM = 90.0
+_GENTLE_M_S2 = 0.12
+"""Wheel acceleration of the small steps, within the limits of larger robots, too."""
 
 
 class Parameters(BaseModel):
@@ -198,7 +202,10 @@ def steps(p: Parameters, start: Array) -> list[Trajectory]:
     """Return small motions of the body: forwards, to the left, and a turn."""
     pose = np.asarray(start, dtype=np.float64)
     ways = {"x": [p.step_m, 0.0, 0.0], "y": [0.0, p.step_m, 0.0], "heading": [0.0, 0.0, p.turn_deg / _DEG]}
-    return [line(pose, pose + way, speed_m_s=0.05, name=f"step {name}") for name, way in ways.items()]
+    return [
+        line(pose, pose + way, speed_m_s=0.05, acceleration_m_s2=_GENTLE_M_S2, name=f"step {name}")
+        for name, way in ways.items()
+    ]
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
@@ -251,6 +258,12 @@ def run(ctx: Context) -> None:
     with ctx.step("drives", timeout_s=120.0):
         straight = jog_drives(bench, p.body, 0.0, p.drive_rad_s)
         across = jog_drives(bench, p.body, np.pi / 2.0, p.drive_rad_s)
+        if across.out_of_plane:
+            ctx.note(
+                "Motion capture sees the robot leave its plane while the wheels roll on it: look at "
+                "mocap.up_axis, at the plane, and at the axes of mocap.body. No direction was judged."
+            )
+            return
         _measure_drives(ctx, straight, across, steer)
     if not ctx.passing():
         ctx.note("The body was not moved: first correct everything that failed above.")
@@ -390,6 +403,7 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
     if "encoders" in ctx.parameters.devices and encoders is not None:
         reported += reversed_names(signs.encoder, "encoder")
         values["encoders"] = {"sign": _turned(encoders.sign, signs.encoder)}
+    note_other_values(ctx, values)
     reported = [name for name in reported if name.split()[1] not in named]
     others = "all others" if named else "all"
     if reported or named or min(straight.agreement().min(), across.agreement().min()) >= _PUSHES:
@@ -415,10 +429,13 @@ def move_body(ctx: Context, bench: Bench) -> None:
             seen["tracker"] = _went(motion, "tracker", axis)
         for sensor, went in seen.items():
             ctx.measure(f"{sensor}.{name}_response", went / true)
+            note_explanation(ctx, "servos" if sensor == "odometry" else sensor, went / true, axis)
             row.append(f"{went * (_DEG if axis == 2 else 1e3):+.2f}")
         if axis == 2 and "imu" in p.devices:
             data = inertial(motion)
-            ctx.measure("imu.gyro_response", float(integrated(data.t_s, data[0])[-1]) / true)
+            response = float(integrated(data.t_s, data[0])[-1]) / true
+            ctx.measure("imu.gyro_response", response)
+            note_explanation(ctx, "imu", response, axis)
         rows.append(row)
     head = ["step", p.body, *seen]
     ctx.table("Small steps of the body", head, rows, "mm, and deg for the turn.")

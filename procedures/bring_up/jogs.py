@@ -15,12 +15,14 @@ import numpy as np
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array
-from hil.core.signals import WHEELS
+from hil.core.signals import WHEELS, Status
+from hil.loop.driven_motion import Motion
 from hil.procedure.sample_arrays import Series, encoders, poses, wheels
 from hil.procedure.scripted_joints import Stretch, play
 
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
 _SETTLE_S = 1.5
+_LEAVES_M = 0.001
 _LIKE = 0.5
 """Cosine of pushes, or share of a turn, above which two joints count as the same."""
 
@@ -34,12 +36,14 @@ class DriveJogs:
         expected, found: (4, 3) body displacement per wheel as unit vectors; the turn is scaled by the
             wheels' distance from the centre.
         moved_m: (4,) length of the displacement: half of out minus back.
+        out_of_plane: whether motion capture saw the body move more out of its plane than in it.
     """
 
     steering_rad: float
     expected: Array
     found: Array
     moved_m: Array
+    out_of_plane: bool = False
 
     def agreement(self) -> Array:
         """Return the (4,) cosine between found and expected push: 1 for the right direction, -1 reversed."""
@@ -119,7 +123,17 @@ def jog_drives(bench: Bench, source: str, steering_rad: float, rate_rad_s: float
     heading = float(pose[2])
     c, s = math.cos(heading), math.sin(heading)
     moved = moved @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return DriveJogs(steering_rad, expected, moved / np.maximum(size, 1e-9)[:, None], size)
+    found = moved / np.maximum(size, 1e-9)[:, None]
+    return DriveJogs(steering_rad, expected, found, size, source == "mocap" and leaves_plane(motion))
+
+
+def leaves_plane(motion: Motion) -> bool:
+    """Whether the body moved farther out of the plane of motion capture than in it, by over a millimetre."""
+    places = [s.position_m for r in motion.records for s in r.inputs.mocap if s.status is Status.OK]
+    if not places:
+        return False
+    x_m, y_m, z_m = np.ptp(np.array(places), axis=0)
+    return bool(z_m > max(_LEAVES_M, math.hypot(x_m, y_m)))
 
 
 def _arms(config: BenchConfig) -> Array:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hil.config.servos import ServosConfig
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
+from hil.loop.checks.wrong_parameter import explained
 from hil.procedure import Context
 from hil.procedures.bring_up.jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives
 from hil.procedures.bring_up.streams import Stream
@@ -17,6 +18,9 @@ from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+_EXPLAINED = 0.25
+"""Difference of a response from 1 that needs an explanation: more than slip, or a scale of a new camera."""
 
 
 def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
@@ -54,7 +58,7 @@ def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: 
             exchanged_axes(steer),
             servos.steer_ids,
             "turn, by the encoders,",
-            ", or the two encoders, if the wheels turn as commanded",
+            ", or the two in encoders.signals, if the wheels turn as commanded",
         ),
     ):
         for a, b in pairs:
@@ -65,6 +69,28 @@ def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: 
                 "again."
             )
     return named
+
+
+def note_other_values(ctx: Context, found: Mapping[str, Mapping[str, Any]]) -> None:
+    """Note each key of the bench file that the small motions contradict, and the value that fits."""
+    for table, values in found.items():
+        for key, value in values.items():
+            said = list(getattr(getattr(ctx.source.config, table), key))
+            if list(value) != said:
+                ctx.note(f"{table}.{key}: {value} fits, the bench file says {said}.")
+
+
+def note_explanation(ctx: Context, source: str, response: float, axis: int) -> None:
+    """Note the key of the bench file that would explain a sensor's response to a step of the body.
+
+    Args:
+        ctx: context of the run.
+        source: kind of the sensor.
+        response: motion seen over motion of the body.
+        axis: 0 forwards, 1 to the left, 2 a turn.
+    """
+    if abs(response - 1.0) > _EXPLAINED and (found := explained(source, complex(response), turns=axis == 2)):
+        ctx.note(f"{source}: {response:.2f} of the body's motion: look at {found.key}, {found.text}.")
 
 
 def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:

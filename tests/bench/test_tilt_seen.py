@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import hil
+from hil.bench.cross_checks.gravity import gravity_checks
 from hil.bench.doctor.examination import examine
 from hil.bench.hold.result import held_in_words
-from hil.bench.hold.tilt_check import TiltWatch, tilt_finding, tilt_rad
+from hil.bench.hold.tilt_check import TiltWatch, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError, UsageError
@@ -103,22 +104,22 @@ def test_an_imu_of_another_world_or_without_servos_says_nothing_of_the_robot(mon
         watch = TiltWatch(config)
         watch.saw(says(steep(90.0)))
         assert (watch.known, watch.steeper()) == (True, "")
-        assert not list(tilt_finding(config, {"imu": says(steep(90.0))}))
+        assert not list(gravity_checks(config, {"imu": says(steep(90.0))}))
 
 
 @pytest.mark.parametrize(
-    ("profile", "degrees", "level"),
+    ("profile", "degrees", "state"),
     [
-        ("emulated", 60.0, "failure"),
-        ("emulated", 80.0, "ok"),
-        ("emulated", 130.0, "failure"),
-        ("emulated_floor", 30.0, "failure"),
+        ("emulated", 60.0, "contradicted"),
+        ("emulated", 80.0, "confirmed"),
+        ("emulated", 130.0, "contradicted"),
+        ("emulated_floor", 30.0, "contradicted"),
     ],
 )
-def test_the_doctor_refuses_a_floor_for_a_wall_and_a_wall_for_a_floor(profile, degrees, level):
-    (finding,) = tilt_finding(load_bench(profile), {"imu": says(steep(degrees))})
-    assert finding.level == level
-    assert f"tilted by {degrees:.0f} deg" in finding.found
+def test_a_floor_for_a_wall_and_a_wall_for_a_floor_are_contradicted(profile, degrees, state):
+    (check,) = gravity_checks(load_bench(profile), {"imu": says(steep(degrees))})
+    assert (check.key, check.state) == ("environment.tilt_rad", state)
+    assert math.degrees(check.says) == pytest.approx(degrees)
 
 
 def test_nothing_moves_and_the_floor_is_not_believed():
@@ -160,9 +161,11 @@ def test_a_look_at_a_robot_without_torque_waits_for_the_imu(moment):
     assert not bench.held.lost, "it has not been set in motion"
 
 
-def test_on_the_floor_nothing_changes_with_an_imu_that_is_a_little_turned():
+def test_on_the_floor_a_robot_drives_by_its_wheels_with_an_imu_that_is_a_little_turned():
     with hil.open_bench("emulated_floor", overrides=turned(15.0, "x")) as bench:
-        bench.drive(HOP)
+        with pytest.raises(ConfigError, match=r"imu\.mount_rotation_wxyz"):
+            bench.drive(HOP)
+        bench.drive(HOP, feedback="odometry")
     assert bench.held.state == "not needed"
 
 
@@ -181,6 +184,6 @@ def test_a_broken_imu_does_not_undo_what_it_had_shown(fault, mount, state):
 def test_the_doctor_says_how_steep_the_robot_stands():
     others = {"tracker": None, "mocap": None, "encoders": None}
     on_a_wall = hil.open_bench("emulated_floor", overrides={**others, **STANDS_UP})
-    (finding,) = [f for f in examine(on_a_wall, watch_s=0.5) if f.check == "tilt"]
-    assert (finding.device, finding.level) == ("imu", "failure")
-    assert finding.found == "tilted by 90 deg, bench file says 0"
+    (finding,) = [f for f in examine(on_a_wall, watch_s=0.5) if f.check == "tilt_rad"]
+    assert (finding.device, finding.level) == ("environment", "failure")
+    assert "tilted by 90 deg, bench file says 0" in finding.found

@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
+from hil.bench.cross_checks.force import force_checks
+from hil.bench.cross_checks.parameters import Parameters, advice, at_rest
 from hil.bench.doctor.inertial_offsets import inertial_changes
 from hil.bench.doctor.port_findings import Host, host_findings
 from hil.bench.doctor.steering_offsets import slipped_between
 from hil.bench.drivers import model_of
-from hil.bench.hold.tilt_check import tilt_finding
 from hil.bench.loop_settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
 from hil.bench.third_party.contract_findings import find_contract_breaks
@@ -43,7 +44,6 @@ from hil.estimator.sample_statistics import Spread, about_a_line, blocks, total
 from hil.estimator.tuning import value_of
 from hil.links.serial_url import latency_timer
 from hil.loop.alignment import Alignment
-from hil.robot.believed_force import DISAGREE_N, DISAGREE_SHARE, apart
 
 NOISIER, BETTER = 2.0, 0.5
 """Ratio of the standard deviation to the measured one beyond which a finding warns: twice, or half of it."""
@@ -118,7 +118,7 @@ def _finding(config: BenchConfig, one: NoiseFigure, words: str, spread: Spread) 
 
 
 def unexplained_force(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """Compare the force by load cells with that by fan speed; with the fan at rest, report only deviations.
+    """Compare the force by load cells with a fan at rest; only deviations are reported.
 
     This detects a cell zero that has changed since `adhesion_check`.
 
@@ -134,10 +134,7 @@ def unexplained_force(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) ->
     speed_rpm = float(np.max(np.abs(speeds_rpm)))
     felt_n = float(np.sum(np.mean(forces_n, axis=0) - np.array(cells.zero_n)))
     made_n = fan.force_at_n(float(np.mean(np.abs(speeds_rpm))))
-    if made_n > _REST_N:
-        yield _of_a_running_fan(felt_n, made_n)
-        return
-    if felt_n < _FELT_N:
+    if made_n > _REST_N or felt_n < _FELT_N:
         return
     yield Finding(
         "load_cells",
@@ -151,16 +148,14 @@ def unexplained_force(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) ->
     )
 
 
-def _of_a_running_fan(felt_n: float, made_n: float) -> Finding:
-    return Finding(
-        "load_cells",
-        "force against the fan's speed",
-        "failure" if apart(felt_n, made_n) else "ok",
-        f"{felt_n:.1f} N by the cells, {made_n:.1f} N by the fan's speed",
-        f"within {DISAGREE_N:g} N, or {100.0 * DISAGREE_SHARE:g} %",
-        "look at the seal and at what touches the cells; then `hil run adhesion_check`, which finds "
-        "load_cells.zero_n and adhesion.rated_force_n",
-    )
+def contradictions(parameters: Parameters) -> Iterator[Finding]:
+    """A failure for each contradiction of the bench file; those that are told alike are one."""
+    told = set[str]()
+    for check in parameters.contradicted().values():
+        if check.text not in told:
+            told.add(check.text)
+            table, _, key = check.key.partition(".")
+            yield Finding(table, key, "failure", check.text, "what the bench file says", advice(check))
 
 
 def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> Iterator[Finding]:
@@ -183,8 +178,9 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
             kind = base_of(name)
             for found in _examine_one(bench, name, watch_s, host, seen):
                 yield replace(found, device=name) if found.device == kind else found
-        yield from tilt_finding(bench.config, seen)
         yield from unexplained_force(bench.config, seen)
+        bench.parameters.take((*at_rest(bench.config, seen), *force_checks(bench.config, seen)))
+        yield from contradictions(bench.parameters)
         yield from slipped_between(bench.config, seen)
         measured = _aligned(bench, seen)
         yield from inertial_changes(bench.config, (measured,))

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import TypeVar
 
 from hil.bench.camera_odometry import wheel_feed
+from hil.bench.cross_checks.parameters import Parameters
 from hil.bench.hold.force_controller import by_need
 from hil.bench.hold.monitor import HoldMonitor
 from hil.bench.hold.preload import Preload
@@ -47,6 +48,7 @@ class HeldDevices:
         self.model, self.clock, self.rig = model, clock, rig
         self.config, self.geometry = model.config, model.geometry
         self.seed, self.calibration = model.seed, model.calibration
+        self.parameters = Parameters(model.config)
         self.held = untouched("no device was opened: the robot is as it was before")
         self.warns_not_held = True
         self.waits_for_sensors = False

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from hil.config.environment import LEAST_FRICTION
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError
-from hil.core.finding import Finding
 from hil.core.geometry import rotated
 from hil.core.signals import ImuSample, Status
 from hil.robot.statics import GRAVITY_M_S2
@@ -129,25 +127,3 @@ class TiltWatch:
 def _tilt_text(config: BenchConfig, seen_rad: float) -> str:
     claimed_deg = math.degrees(config.environment.tilt_rad)
     return f"tilted by {math.degrees(seen_rad):.0f} deg, bench file says {claimed_deg:.0f}"
-
-
-def tilt_finding(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """Findings on the direction of gravity; none without measurements of an IMU on the servos' robot.
-
-    Args:
-        config: configuration of the bench.
-        seen: samples of every kind that was watched.
-    """
-    good = [s for s in seen.get(IMU, ()) if s.status is Status.OK]
-    seen_rad = tilt_rad(config, good)
-    if not sees_the_tilt(config) or math.isnan(seen_rad):
-        return
-    agrees = abs(seen_rad - config.environment.tilt_rad) <= APART_RAD
-    yield Finding(
-        IMU,
-        "tilt",
-        "ok" if agrees else "failure",
-        _tilt_text(config, seen_rad),
-        f"less than {math.degrees(APART_RAD):.0f} deg between them",
-        _REMEDY,
-    )

@@ -13,15 +13,9 @@ from typing import Any
 
 from hil.config.adhesion import MotorConfig
 from hil.core.clock import nanoseconds
+from hil.core.cross_check import CrossCheck
 from hil.fan_daemon.fan_control import SetPoint
-from hil.robot.motor_cross_checks import (
-    CrossCheck,
-    Reading,
-    Steadiness,
-    cross_check,
-    far,
-    speed_by_voltage_rpm,
-)
+from hil.robot.motor_cross_checks import Reading, Steadiness, cross_check, far, speed_by_voltage_rpm
 
 _NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
 """Battery voltage (V) that is assumed where the reported one is not between the other two."""

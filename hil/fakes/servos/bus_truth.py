@@ -17,7 +17,7 @@ from hil.config.servo_models import (
     servo_models,
 )
 from hil.config.servo_models.codes import BAUD_CODES
-from hil.config.values import Baud, Within
+from hil.config.values import Baud, SteeringZero, Within
 
 _BATTERY_V = 11.1
 _MODES = 16
@@ -94,6 +94,7 @@ class ServoBusOptions:
             every read.
         cadence_jitter_s, cadence_gaps_per_s, cadence_longest_gap_s: deviations from that period.
         drive_start_counts: encoder counts of the drives at joint angle 0.
+        horn_rad: servo angle of the steering servos at which their horns point straight on, wheel order.
         dither_counts: noise of the encoders before rounding, counts, one sigma.
         overload_a: current that counts as overload; by default that of the model.
         overload_s: time at that current until the overload error.
@@ -123,6 +124,7 @@ class ServoBusOptions:
     cadence_gaps_per_s: float = 0.13
     cadence_longest_gap_s: float = 0.029
     drive_start_counts: tuple[Counts, Counts, Counts, Counts] = (317, 1204, 2911, 3870)
+    horn_rad: tuple[SteeringZero, SteeringZero, SteeringZero, SteeringZero] = (0.0, 0.0, 0.0, 0.0)
     dither_counts: Annotated[float, Within(0.0, 100.0, "counts of 4096 a turn")] = 0.25
     overload_a: float | None = None
     overload_s: float = 2.0

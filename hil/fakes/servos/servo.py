@@ -62,6 +62,8 @@ class Servo:
         }.items():
             self.table.put(name, raw)
         zero = options.drive_start_counts[joint] if drive else model.zero_counts
+        if not drive:
+            zero += round(options.horn_rad[joint - 4] / model.rad_per_count)
         self.axis = Axis(joint, plant, self.table, zero)
         self.dead = False
         self.busy_until_ns = 0

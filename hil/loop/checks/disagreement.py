@@ -5,15 +5,21 @@ Deterministic: depends only on the steps that were added since `reset`.
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from hil.core.clock import NS_PER_S
+from hil.loop.checks.wrong_parameter import Explanation, explained, explained_by_lever
 
 STEP_NS = 58_000_000
 """Shortest interval between two comparisons."""
 _LITTLE = 0.3
+_TURNS_RAD_M = 1.0
+"""Turn per metre from which the place of a sensor on the body moves it, more than its scale or mount."""
+_FROM_THE_START = 0.7
+"""Share of all steps of a run that a wrong parameter has changed: all but the first."""
 _JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000
 
 
@@ -40,6 +46,8 @@ class Disagreement:
         turns: True if the difference is a turn.
         against: the device that contradicts the source.
         unseen: True if the wheels may have slipped before the camera delivered poses.
+        key: keys of the bench file that would explain it, separated by commas; empty for none.
+        factor: factor by which the value of a single key would fit; 0 for none.
     """
 
     source: str
@@ -50,6 +58,8 @@ class Disagreement:
     turns: bool = False
     against: str = ""
     unseen: bool = False
+    key: str = ""
+    factor: float = 0.0
 
     @property
     def inflation(self) -> tuple[float, float]:
@@ -84,9 +94,15 @@ class Sum:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the sum to zero."""
+        """Reset the sum to zero, for a new run."""
+        self._way = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin anew with the next step."""
         self.size = 0.0
         self._sum = self._first = self._second = 0j
+        self._rotated_rad = 0.0
         self.since_ns = 0
         self._warned = False
 
@@ -111,9 +127,11 @@ class Sum:
             backwards: additional tolerance for a shorter step of the first device along the first axis.
             way: additional tolerance as shares of the second device's step, along it and across.
         """
+        self._way += max(abs(first), abs(second))
         if self.size == 0.0:
-            self.reset()
+            self._begin()
             self.since_ns = t_ns
+        self._rotated_rad += abs(cmath.phase(turned))
         self._first, self._second = (self._first + first) * turned, (self._second + second) * turned
         total = self._sum + first - second
         if total.real < 0.0:
@@ -145,17 +163,32 @@ class Sum:
         one, other = (party.called for party in self._parties)
         sure = confirmed(self, pairs, source)
         called, against = (one, self.names[1]) if source == self.names[0] else (other, self.names[0])
+        causes = [found for name in ([source] if sure else [source, against]) if (found := self._cause(name))]
+        look = "; ".join(f"{found.key}, {found.text}" for found in causes)
         return Disagreement(
             source,
             f"in {(t_ns - self.since_ns) / NS_PER_S:.1f} s the robot {moved} "
             f"{1e3 * abs(self._first):.0f} {unit} by {one} and {1e3 * abs(self._second):.0f} {unit} by "
-            f"{other}: " + (f"the others agree against {called}" if sure else self._why()),
+            f"{other}: "
+            + (f"the others agree against {called}" if sure else self._why())
+            + (f"; look at {look}" if look else ""),
             grave,
             sure,
             abs(self._first - self._second),
             self._turns,
             against,
+            key=", ".join(found.key for found in causes),
+            factor=causes[0].factor if len(causes) == 1 else 0.0,
         )
+
+    def _cause(self, name: str) -> Explanation | None:
+        """The parameter of one of the two that would explain all steps of this run; None for none."""
+        own, other = (self._first, self._second) if name == self.names[0] else (self._second, self._first)
+        if max(abs(own), abs(other)) < _FROM_THE_START * self._way or not abs(other) > 0.0:
+            return None
+        if not self._turns and self._rotated_rad > _TURNS_RAD_M * abs(other):
+            return explained_by_lever(name, abs(own - other) / self._rotated_rad)
+        return explained(name, own / other, turns=self._turns)
 
     def _why(self) -> str:
         if self.names != (CAMERA.name, WHEELS.name):

@@ -74,7 +74,7 @@ class AgreementCheck(Check):
         if doubt.may_slide:
             names += self._holders
             message += look_at(self._holders, "if it slides, look")
-        return Event(t_ns, "warning", together(names), message)
+        return Event(t_ns, "warning", together(names), message, key=doubt.key, factor=doubt.factor)
 
     def _note(self, doubt: Disagreement) -> None:
         """Record that both devices are in doubt, or only the source if others agree against it."""

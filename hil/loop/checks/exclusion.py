@@ -48,7 +48,11 @@ class Exclusion:
         if name in self._estimated:
             cycle.inflate(*doubt.inflation)
         said = f"left out from now on: {doubt.message}"
-        cycle.events.append(Event(cycle.inputs.t_ns, "warning", name, said, distrusts=True))
+        cycle.events.append(
+            Event(
+                cycle.inputs.t_ns, "warning", name, said, distrusts=True, key=doubt.key, factor=doubt.factor
+            )
+        )
 
     def take_moved(self, name: str, message: str, cycle: Cycle) -> None:
         """Report that the frame of a device has moved.

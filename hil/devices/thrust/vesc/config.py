@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from hil.config.adhesion import VESC_ID, VescConfig, VescId
 from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
+from hil.config.parameter import Parameter, instead, times
 from hil.config.thrust import ThrustConfig
 from hil.config.values import PolePairs, Within
 from hil.robot.motor_cross_checks import MotorRatings
@@ -29,6 +30,13 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
             square of the speed.
         rpm_per_v: speed of the motors per volt, unloaded.
     """
+
+    PARAMETERS = (
+        *ThrustConfig.PARAMETERS,
+        Parameter("full_rpm", (times(2.0), times(0.5)), ("servos",)),
+        Parameter("rpm_per_v", (times(2.0), times(0.5)), ("thrust",)),
+        Parameter("pole_pairs", (instead(21), instead(14), instead(4)), ("thrust",)),
+    )
 
     model: Literal["vesc"] = "vesc"
     controller_ids: tuple[VescId, ...] = Field((2, 3), min_length=1, max_length=MOST_CONTROLLERS)

@@ -10,6 +10,7 @@ import can
 
 from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock, nanoseconds
+from hil.core.cross_check import CrossCheck
 from hil.core.errors import DeviceError
 from hil.core.finding import Finding
 from hil.core.signals import Stamp, Status, ThrustSample
@@ -25,7 +26,7 @@ from hil.links.steady_volts import SteadyVolts
 from hil.links.stuck_values import StuckTest
 from hil.links.vesc import Packet, Status5, address, decode
 from hil.links.vesc import Status as Report
-from hil.robot.motor_cross_checks import CrossCheck, Reading, Steadiness, cross_check, impossible
+from hil.robot.motor_cross_checks import Reading, Steadiness, cross_check, impossible
 
 _STUCK_S = 0.5
 _RUNNING = 0.05

@@ -1,0 +1,81 @@
+"""The fan's force by its controller and by the load cells: what each says about the other's keys."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.config.adhesion import AdhesionConfig
+from hil.config.bench import BenchConfig
+from hil.config.load_cells import LoadCellsConfig
+from hil.core.cross_check import CrossCheck
+from hil.core.signals import Status, worst
+from hil.robot.believed_force import apart
+from hil.robot.motor_cross_checks import Reading, cross_check
+
+_STEADY_SHARE = 0.02
+_LEAST_N = 5.0
+"""Force from which the scales show in it."""
+
+
+def force_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[CrossCheck]:
+    """Compare the reports of the fan with each other, and with the load cells.
+
+    Args:
+        config: of the bench.
+        seen: samples of the resting robot, by kind.
+    """
+    fan = config.of(AdhesionConfig)
+    usable = [s for s in seen.get("adhesion", ()) if s.status is Status.OK]
+    if fan is None or not usable:
+        return
+    speeds = [s.speed_rpm for s in usable]
+    middle = Reading(*(_middle([float(getattr(s, name)) for s in usable]) for name in Reading._fields))
+    steady = max(speeds) - min(speeds) < _STEADY_SHARE * fan.rated_rpm
+    own = cross_check(fan.ratings(), middle, steady=steady)
+    yield own
+    if own.state == "confirmed" and (rpm_per_v := getattr(fan, "rpm_per_v", None)) is not None:
+        yield CrossCheck("adhesion.rpm_per_v", rpm_per_v, "confirmed", own.by, rpm_per_v, own.difference)
+    if own.state != "contradicted" and steady:
+        yield from _by_cells(config, fan, seen, middle.speed_rpm)
+
+
+def _by_cells(
+    config: BenchConfig, fan: AdhesionConfig, seen: Mapping[str, Sequence[Any]], speed_rpm: float
+) -> Iterator[CrossCheck]:
+    cells, made_n = config.of(LoadCellsConfig), fan.force_at_n(speed_rpm)
+    forces_n = [s.force_n for s in seen.get("load_cells", ()) if worst(s) is Status.OK]
+    if cells is None or not forces_n or not made_n > _LEAST_N:
+        return
+    felt_n = float(np.sum(np.mean(forces_n, axis=0) - np.array(cells.zero_n)))
+    share = felt_n / made_n
+    rows: tuple[tuple[str, Any, str, Any], ...] = (
+        ("adhesion.rated_force_n", fan.rated_force_n, "the load cells", fan.rated_force_n * share),
+        ("adhesion.rated_rpm", fan.rated_rpm, "the load cells", _rpm(fan.rated_rpm, share)),
+        ("load_cells.n_per_count", cells.n_per_count, "the fan's speed", math.nan),
+        ("load_cells.zero_n", cells.zero_n, "the fan's speed", math.nan),
+    )
+    wrong = apart(felt_n, made_n)
+    text = (
+        f"{felt_n:.1f} N by the load cells, {made_n:.1f} N by the fan's speed: either "
+        f"{', '.join(row[0] for row in rows)} is wrong, or the seal leaks; `hil run adhesion_check` finds "
+        "zero and rated force"
+    )
+    for key, value, by, says in rows:
+        if wrong:
+            yield CrossCheck(key, value, "contradicted", by, says, share - 1.0, text)
+        else:
+            yield CrossCheck(key, value, "confirmed", by, value, share - 1.0)
+
+
+def _rpm(rated_rpm: float, share: float) -> float:
+    return rated_rpm / math.sqrt(share) if share > 0.0 else math.nan
+
+
+def _middle(values: Sequence[float]) -> float:
+    """Median of the values that are known; NaN for none."""
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan

@@ -1,0 +1,125 @@
+"""The parameters of one bench, and what measurements have said about each of them so far."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from hil.bench.cross_checks.force import force_checks
+from hil.bench.cross_checks.gravity import gravity_checks
+from hil.bench.cross_checks.steering import steering_checks
+from hil.config.bench import BenchConfig
+from hil.config.parameter import Parameter, parameters_of
+from hil.core.cross_check import CrossCheck, strongest
+from hil.core.errors import ConfigError
+from hil.core.registry import kinds
+from hil.core.signals import Event
+
+OF_NO_DEVICE = ("environment", "robot", "alignment")
+"""Tables without a device that have parameters."""
+RESTING = ("servos", "encoders", "imu", "tracker", "mocap", "adhesion", "load_cells")
+"""Devices whose samples at rest say something about a parameter."""
+
+
+def at_rest(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[CrossCheck]:
+    """Everything that samples of a resting robot say about the bench file.
+
+    Args:
+        config: of the bench.
+        seen: samples by kind.
+    """
+    yield from gravity_checks(config, seen)
+    yield from steering_checks(config, seen)
+    for check in force_checks(config, seen):
+        if check.state == "confirmed":  # what contradicts a force stops the robot, and is told by the doctor
+            yield check
+
+
+class Parameters:
+    """What the bench takes for granted, and what its measurements say about it.
+
+    Args:
+        config: of the bench.
+    """
+
+    def __init__(self, config: BenchConfig) -> None:
+        self._config = config
+        self._found: list[CrossCheck] = []
+        self._moved: dict[str, CrossCheck] = {}
+
+    def take(self, found: Iterable[CrossCheck]) -> list[CrossCheck]:
+        """Add results; return the contradictions that are new."""
+        before = set(self.contradicted())
+        self._found = list(strongest([*self._found, *found]).values())
+        return [check for key, check in self.contradicted().items() if key not in before]
+
+    def moved(self, contradicting: Mapping[str, Event]) -> None:
+        """Take what the events of runs have contradicted, by key."""
+        for key, event in contradicting.items():
+            value = self._value(key)
+            says = _times(value, event.factor) if event.factor else math.nan
+            self._moved[key] = CrossCheck(
+                key, value, "contradicted", event.source, says, event.factor - 1.0, event.message
+            )
+
+    def _value(self, key: str) -> Any:
+        table, _, name = key.partition(".")
+        return getattr(getattr(self._config, table, None), name, None)
+
+    def contradicted(self) -> dict[str, CrossCheck]:
+        """Contradictions at rest, by key."""
+        return {check.key: check for check in self._found if check.state == "contradicted"}
+
+    def rows(self) -> list[CrossCheck]:
+        """One result for each parameter of the bench file, and for what else was contradicted."""
+        found = strongest([*self._found, *self._moved.values()])
+        tables = {name: getattr(self._config, name) for name in OF_NO_DEVICE} | self._config.devices()
+        rows = [
+            found.pop(key, CrossCheck(key, value, "unconfirmed", self._awaited(one)))
+            for key, value, one in parameters_of(tables)
+        ]
+        return rows + [check for check in found.values() if check.state == "contradicted"]
+
+    def _awaited(self, parameter: Parameter) -> str:
+        """What would measure a parameter."""
+        nouns = {name: kinds()[name].noun for name in parameter.by}
+        here = [noun for name, noun in nouns.items() if name in self._config.of_one_world().devices()]
+        if here:
+            return f"not yet; {' or '.join(here)}, once the robot moves"
+        return f"nothing on this bench; add {' or '.join(nouns.values())}"
+
+    def must_agree(self) -> None:
+        """Refuse to move a robot by a bench file that is contradicted.
+
+        Raises:
+            ConfigError: names the key, and the value that the measurement speaks for.
+        """
+        texts = dict.fromkeys(check.text for check in self.contradicted().values())
+        if texts:
+            raise ConfigError(
+                f"{self._config.name}: {'; '.join(texts)}; nothing is moved",
+                expected="measurements that agree with the bench file",
+                remedy="; ".join(dict.fromkeys(map(advice, self.contradicted().values()))),
+            )
+
+
+def _times(value: Any, factor: float) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_times(part, factor) for part in value]
+    return value * factor if isinstance(value, (int, float)) else math.nan
+
+
+def advice(check: CrossCheck) -> str:
+    """What to do about a contradiction."""
+    says = check.to_json()["says"]
+    if says is None:
+        return f"correct {check.key}"
+    return f"{check.key} = {shown(says)} would fit {check.by}"
+
+
+def shown(value: Any) -> str:
+    """A value as the bench file has it, numbers with four digits."""
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(shown, value)) + "]"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,61 @@
+"""Steering servos against external encoders at rest: their zeros have to fit together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from hil.bench.doctor.steering_offsets import encoder_minus_servo
+from hil.config.bench import BenchConfig
+from hil.config.encoders import EncodersConfig
+from hil.config.servos import ServosConfig
+from hil.core.cross_check import CrossCheck
+from hil.core.geometry import wrap
+from hil.core.signals import WHEELS
+
+MOST_RAD = 0.08
+"""Difference that zeros of a robot as delivered may have: 2.5 deg of a horn, and a magnet's eccentricity."""
+
+
+def steering_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[CrossCheck]:
+    """Compare the encoders, with their zeros, with the servos.
+
+    Nothing where a zero is not known, or where both were measured together: then only a slip changes them.
+
+    Args:
+        config: of the bench.
+        seen: samples of the resting robot, by kind.
+    """
+    table, own = config.of(EncodersConfig), config.alignment
+    if table is None or config.of(ServosConfig) is None or "encoders" in config.elsewhere():
+        return
+    if table.zero_rad is None or table.minus_servo_rad is not None:
+        return
+    if not (seen.get("encoders") and seen.get("servos")):
+        return
+    now = encoder_minus_servo(config, seen["encoders"], seen["servos"])
+    zeros = zip(now, table.sign, table.zero_rad, own.steer_sign, own.steer_zero_rad, strict=True)
+    off = [wrap(both - sign * zero + steer * horn) for both, sign, zero, steer, horn in zeros]
+    known = [value for value in off if math.isfinite(value)]
+    if not known:
+        return
+    worst_rad = max(known, key=abs)
+    keys = (("encoders.zero_rad", table.zero_rad), ("alignment.steer_zero_rad", own.steer_zero_rad))
+    if abs(worst_rad) <= MOST_RAD:
+        for (key, value), by in zip(keys, ("the servos", "the encoders"), strict=True):
+            yield CrossCheck(key, value, "confirmed", by, value, worst_rad)
+        return
+    said = ", ".join(
+        f"{wheel} {value:+.3f} rad" for wheel, value in zip(WHEELS, off, strict=True) if abs(value) > MOST_RAD
+    )
+    fits = (
+        [z + s * o for z, s, o in zip(table.zero_rad, table.sign, off, strict=True)],
+        [h - s * o for h, s, o in zip(own.steer_zero_rad, own.steer_sign, off, strict=True)],
+    )
+    text = (
+        f"the encoders and the steering servos differ by {said}: either encoders.zero_rad or "
+        "alignment.steer_zero_rad is wrong, or a horn or an encoder has slipped; `hil run steering_zero`"
+    )
+    for (key, value), says, by in zip(keys, fits, ("the servos", "the encoders"), strict=True):
+        yield CrossCheck(key, value, "contradicted", by, [round(v, 4) for v in says], worst_rad, text)

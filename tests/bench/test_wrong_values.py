@@ -1,0 +1,161 @@
+"""A bench file with a wrong number, and hardware with the true one: the key is named before or soon."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import hil
+from hil.bench.doctor.examination import examine
+from hil.config.loading import load_bench
+from hil.config.parameter import order, plus, turned
+from hil.core.errors import ConfigError, SafetyStop
+from hil.loop.checks.wrong_parameter import explained
+from hil.robot.trajectories import line
+
+ONE = (1.0, 0.0, 0.0, 0.0)
+UP = line((0, 0, 0), (0.1, 0, 0), speed_m_s=0.05)
+
+
+def wrong(key, said, true):
+    """A bench file that says one value, and a world where another is true."""
+    return {key: said, f"emulation.{key}": true}
+
+
+def opened(overrides, profile="emulated", seed=0):
+    return hil.open_bench(profile, overrides=overrides, seed=seed)
+
+
+def examined(overrides, profile="emulated"):
+    bench = opened(overrides, profile)
+    failed = [f for f in examine(bench, watch_s=0.4) if f.level == "failure"]
+    return {row.key: row for row in bench.parameters.rows()}, failed
+
+
+@pytest.mark.parametrize(
+    ("device", "axis", "degrees"), [("imu", "z", 6.0), ("imu", "y", 90.0), ("tracker", "z", -10.0)]
+)
+def test_a_mount_that_two_others_contradict_is_named_with_the_right_one(device, axis, degrees):
+    key = f"{device}.mount_rotation_wxyz"
+    rows, failed = examined(wrong(key, turned(axis, degrees)(ONE), ONE))
+    contradicted = {name for name, row in rows.items() if row.state == "contradicted"}
+    assert contradicted == {key}
+    assert any(key in f.found for f in failed)
+    if axis == "z":
+        off = np.array(rows[key].says) - np.array(ONE)
+        assert np.linalg.norm(off) < 0.02
+
+
+def test_with_two_sources_either_may_be_wrong():
+    turned_by = wrong("imu.mount_rotation_wxyz", turned("z", 30.0)(ONE), ONE)
+    rows, _ = examined({**turned_by, "tracker": None})
+    assert {k for k, row in rows.items() if row.state == "contradicted"} == {
+        "imu.mount_rotation_wxyz",
+        "mocap.body",
+    }
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+@pytest.mark.parametrize("profile", ["emulated", "emulated_floor"])
+def test_a_right_bench_is_never_contradicted(profile, seed):
+    with opened({}, profile, seed) as bench:
+        bench.drive(UP, hold_s=0.1)
+    assert not bench.parameters.contradicted()
+    assert not bench.seen.contradicting
+
+
+def test_nothing_is_driven_by_a_filter_with_a_mount_that_is_contradicted():
+    with opened(wrong("imu.mount_rotation_wxyz", turned("z", 90.0)(ONE), ONE)) as bench:
+        with pytest.raises(ConfigError, match=r"imu\.mount_rotation_wxyz"):
+            bench.drive(UP)
+        assert abs(bench.truth().pose_body_in_wall[0]) < 0.001
+        bench.drive(UP, feedback="odometry", hold_s=0.1)
+
+
+def test_zeros_of_encoders_and_servos_have_to_fit():
+    rows, failed = examined({"alignment.steer_zero_rad": plus(0.0, 0.2)((0.0,) * 4)})
+    assert rows["alignment.steer_zero_rad"].state == rows["encoders.zero_rad"].state == "contradicted"
+    assert any("alignment.steer_zero_rad" in f.found and "BL" in f.found for f in failed)
+
+
+@pytest.mark.parametrize(
+    ("key", "said", "true", "low", "high"),
+    [("robot.mass_kg", 1.95, 3.25, 3.0, 3.6), ("thrust.full_force_n", 59.6, 39.7, 3.8, 4.6)],
+)
+def test_the_work_of_the_drives_shows_the_weight(key, said, true, low, high):
+    """The mass that is told holds if the push is as commanded, so a weaker push looks like a larger mass."""
+    with opened(wrong(key, said, true)) as bench:
+        with pytest.raises(SafetyStop, match=key.replace(".", r"\.")) as stop:
+            bench.drive(UP)
+        assert bench.truth().pose_body_in_wall[0] < 0.06
+    assert stop.value.reason == "weight"
+    assert low < float(str(stop.value).split("the mass would be ")[1].split(" kg")[0]) < high
+    assert bench.held.state == "HELD"
+
+
+def test_a_radius_is_told_with_the_factor_that_fits():
+    bench = opened(wrong("robot.wheel_radius_m", (0.0508,) * 4, (0.0254,) * 4))
+    with bench, pytest.raises(SafetyStop, match=r"robot\.wheel_radius_m"):
+        bench.drive(UP)
+    assert bench.seen.contradicting["robot.wheel_radius_m"].factor == pytest.approx(0.5, abs=0.05)
+
+
+def test_left_for_right_shows_in_a_turn():
+    bench = opened(wrong("servos.drive_ids", order(3, 2, 1, 0)((1, 2, 3, 4)), (1, 2, 3, 4)))
+    with bench, pytest.raises(SafetyStop, match=r"servos\.drive_ids"):
+        bench.drive(line((0, 0, 0), (0, 0, 0.15)))
+
+
+@pytest.mark.parametrize("end", [(0.0, 0.06, 0.0), (0.0, 0.0, 0.12)])
+def test_the_other_up_axis_shows_across_and_in_turns(end):
+    with opened(wrong("mocap.up_axis", "z", "y")) as bench:
+        start = bench.settle()
+        bench.drive(line(start, start + np.array(end)), hold_s=0.1)
+    assert "mocap.up_axis" in bench.seen.contradicting
+
+
+@pytest.mark.parametrize(
+    ("source", "ratio", "turns", "key"),
+    [
+        ("tracker", 0.8, False, "tracker.scale"),
+        ("servos", -1.0, False, "alignment.drive_sign"),
+        ("mocap", complex(0.9, 0.4), False, "mocap.body"),
+        ("imu", 0.1, True, "imu.mount_rotation_wxyz"),
+        ("tracker", 0.02, False, None),
+        ("servos", 1.03, False, None),
+        ("tracker", 20.0, False, None),
+    ],
+)
+def test_a_constant_ratio_is_a_parameter_and_a_frozen_sensor_is_none(source, ratio, turns, key):
+    found = explained(source, complex(ratio), turns=turns)
+    assert (found.key if found else None) == key
+
+
+def test_what_is_true_is_checked_as_the_bench_file_is():
+    with pytest.raises(ConfigError) as refused:
+        opened({"emulation.robot": {"mass_kg": 0.0}})
+    assert "emulation.robot.mass_kg" in str(refused.value)
+
+
+def test_a_horn_that_is_screwed_on_turned_turns_the_wheel():
+    with opened({"emulation.servos.horn_rad": [0.3, 0, 0, 0], "emulation.geometry_share": 0.0}) as bench:
+        rest = bench.observe(0.1, feedback="odometry").records[-1].inputs.servos[-1]
+    assert rest.position_rad[4] == pytest.approx(0.3, abs=0.01)
+    assert rest.position_rad[5] == pytest.approx(0.0, abs=0.01)
+
+
+def test_mirrored_wheels_are_refused():
+    with pytest.raises(ConfigError) as refused:
+        load_bench("emulated", overrides={"robot.wheel_y_m": [-0.1, -0.1, 0.1, 0.1]})
+    assert "robot.wheel_y_m" in "".join(refused.value.problems)
+
+
+def test_every_parameter_has_a_row_of_plain_values():
+    rows, _ = examined({})
+    for row in rows.values():
+        entry = json.loads(json.dumps(row.to_json(), allow_nan=False))
+        assert set(entry) == {"key", "value", "state", "by", "says", "difference"}
+        assert row.by, row.key
+    assert rows["adhesion.pole_pairs"].state == "confirmed"
+    assert math.isfinite(rows["adhesion.pole_pairs"].difference)
