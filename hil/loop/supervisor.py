@@ -125,9 +125,10 @@ class Supervisor:
         Raises:
             SafetyStop: `adhesion`, those of `hil.loop.checks.adhesion`, `weight`, `sliding`,
                 `hardware_error`, `stale_servos`, `held_up`, `blocked`, `servo_jump`, `horn_slip`,
-                `sensors_disagree`, `stale_tracker`, `lost_*`, or the reason of a check of a device kind; the message names all
-                findings. A silent IMU is only an event, and so is a silent camera that the estimate in the
-                loop does not use; for a lasting silence their driver raises `DeviceTimeoutError`.
+                `sensors_disagree`, `stale_tracker`, `lost_*`, or the reason of a check of a device kind; the
+                message names all findings. A silent IMU is only an event, and so is a silent camera that the
+                estimate in the loop does not use; for a lasting silence their driver raises
+                `DeviceTimeoutError`.
         """
         for cycle.source, check in self.in_order:
             check.on_samples(cycle)
