@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import FAULT
@@ -42,6 +43,11 @@ class Asked:
 
 
 @click.command()
+@click.option(
+    "--configuration",
+    is_flag=True,
+    help="Instead: wrong numbers in the bench file, with hardware that has the true ones.",
+)
 @click.option("--quick", is_flag=True, help="A handful of cells: one of each way to lose a robot.")
 @click.option("--seeds", default="0:1", show_default=True, help="Seeds of the worlds: 0:5, or 1,4,7.")
 @click.option(
@@ -73,6 +79,7 @@ class Asked:
 )
 @JSON
 def command(
+    configuration: bool,
     quick: bool,
     seeds: str,
     only: tuple[str, ...],
@@ -87,8 +94,15 @@ def command(
 ) -> int:
     """Every fault of every emulated device, at four moments of a climb, judged, on one page.
 
+    With --configuration: one wrong number in the bench file after another (pole pairs of another motor, a
+    mount turned by 90 degrees, left for right). Doctor, bring_up or a short climb have to name its key; where
+    one that has an effect stays silent, it ends with 1. --only takes a key, or a table.
+
     Example: hil faults --quick
     """
+    if configuration:
+        asked = Asked(quick, seeds, only, moments, plants, count, request.bench)
+        return _configuration(asked, workers, out, resume, as_json)
     from hil.procedure.faults import KeptVerdicts, missing, summary, write_faults, write_page
 
     began = datetime.now(timezone.utc).isoformat(timespec="seconds")
@@ -128,6 +142,33 @@ def command(
     else:
         click.echo(f"{len(verdicts)} cells, {len(failed)} failed; page: {shown_path(page)}")
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
+
+
+def _configuration(asked: Asked, workers: int, out: Path, resume: bool, as_json: bool) -> int:
+    """Run the campaign of wrong values; by default on both physics, in its short form on one."""
+    from hil.cli.wrong_values import refuse_others, run_wrong_values
+    from hil.procedure.campaign import parse_seeds
+    from hil.procedure.faults import PLANTS
+
+    refuse_others(
+        {
+            "--moments": asked.moments != DEFAULTS["moments"],
+            "--random": asked.count is not None,
+            "--bench": asked.bench != DEFAULTS["bench"],
+            "--resume": resume,
+        }
+    )
+    context = click.get_current_context()
+    chosen = context.get_parameter_source("plants") is not ParameterSource.DEFAULT
+    return run_wrong_values(
+        plants=_known("--plants", asked.plants, PLANTS) if chosen or asked.quick else PLANTS,
+        seeds=parse_seeds(asked.seeds),
+        quick=asked.quick,
+        only=asked.only,
+        workers=workers,
+        out=out,
+        as_json=as_json,
+    )
 
 
 def _judge(

@@ -25,6 +25,7 @@ COMMISSIONING_TABLE, COMMISSIONING_PAGE = "commission.json", "commission.html"
 ACCEPTANCE_TABLE, ACCEPTANCE_PAGE = "accept.json", "accept.html"
 """Files of an acceptance."""
 
+WRONG_VALUES_TABLE = "wrong_values.md"
 FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX = "faults.json", "faults.html", "reliability.md"
 FAULTS_CELLS, FAULTS_CELLS_BEFORE = "cells.jsonl", "cells.before.jsonl"
 """Files of a fault campaign: table and pages, verdicts as they come, verdicts of the one before."""

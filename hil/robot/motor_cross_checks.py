@@ -192,7 +192,8 @@ def cross_check(ratings: MotorRatings, now: Reading, *, steady: bool = True) -> 
             return CrossCheck(
                 f"{table}.rpm_per_v", ratings.rpm_per_v, "contradicted", SPEED, says, share, text
             )
-        text = f"{said}: look at {key}, then at the reported speed and at {table}.rpm_per_v"
+        others = f"{table}.rpm_per_v and {table}.{ratings.speed_key}"
+        text = f"{said}: look at {key}, then at the reported speed, and at {others}"
         return _contradiction(ratings, now, "duty and voltage", volts_rpm, text)
     if far(power_rpm, now.speed_rpm, POWER_SHARE):
         return _by_power(ratings, now, power_rpm, unknown)

@@ -25,6 +25,8 @@ _SETTLE_S = 1.5
 _LEAVES_M = 0.001
 _LIKE = 0.5
 """Cosine of pushes, or share of a turn, above which two joints count as the same."""
+_LESS = 0.3
+"""Difference by which each of two exchanged joints is less like itself: its own turn is small on a wall."""
 
 
 @dataclass(frozen=True)
@@ -179,12 +181,12 @@ def exchanged_axes(steer: SteerJogs) -> list[tuple[int, int]]:
 
 
 def _exchanged(alike: Array) -> list[tuple[int, int]]:
-    """Return pairs that match each other and not themselves in a (4, 4) matrix, where 1 is a match."""
+    """Return pairs that match each other better than themselves in a (4, 4) matrix, where 1 is a match."""
     return [
         (a, b)
         for a in range(4)
         for b in range(a + 1, 4)
-        if max(alike[a, a], alike[b, b]) < _LIKE < min(alike[a, b], alike[b, a])
+        if max(alike[a, a], alike[b, b], _LIKE - _LESS) + _LESS < min(alike[a, b], alike[b, a])
     ]
 
 
