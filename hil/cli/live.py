@@ -162,8 +162,11 @@ def command(
         if stop.name:
             raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
         if opened.held.lost:
+            emulated = "servos" in opened.config.emulated()
             raise DeviceError(
-                "robot", f"NOT HELD: {opened.held.why}", remedy="secure it before anything else"
+                "emulated robot" if emulated else "robot",
+                f"NOT HELD: {opened.held.why}",
+                remedy="" if emulated else "secure it before anything else",
             )
     return EXIT_PASS
 

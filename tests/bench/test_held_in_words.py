@@ -50,7 +50,8 @@ def test_a_robot_whose_bench_ended_is_lost_on_a_wall_and_needs_no_hold_on_the_fl
     ids=["no answer", "one answers", "one answers and has no torque"],
 )
 def test_all_that_are_silent_have_one_cause_and_others_are_named(trouble, named):
-    words = lacking_in_words(ServoHold(0, np.zeros(8), True, trouble))
+    hold = ServoHold(0, np.zeros(8), True, trouble)
+    words = lacking_in_words(hold, emulated=False)
     assert ("no servo answers: check the servos' supply" in words) is not named
     assert all((f"{name} ({text})" in words) is named for name, text in trouble.items())
-    assert words.endswith("secure the robot")
+    assert words == f"{lacking_in_words(hold, emulated=True)}: secure the robot"

@@ -80,7 +80,7 @@ class HoldCheckDeadline:
 
     def __init__(self, began_ns: int, limit_s: float, *, strict: bool) -> None:
         self._limit_ns, self._strict = nanoseconds(limit_s), strict
-        self._end_ns = began_ns + self._limit_ns
+        self._end_ns, self._may_lose_ns = began_ns + self._limit_ns, self._limit_ns
         self._answered, self._losses, self._late_looks = False, 0, 0
         self._clear_ns = self._waited_ns = -WINDOW_NS
         self._waits = self._momentary = False
@@ -90,6 +90,12 @@ class HoldCheckDeadline:
         if hold.trouble and self._answered and self._losses < _LOSSES and not self._strict:
             self._end_ns, self._losses = max(self._end_ns, hold.t_ns + self._limit_ns), self._losses + 1
         self._answered = not hold.trouble
+
+    def on_lost(self, lost_ns: int) -> None:
+        """Add time that this computer has lost to the limit, which it doubles at most."""
+        added_ns = min(lost_ns, self._may_lose_ns)
+        if not self._strict:
+            self._end_ns, self._may_lose_ns = self._end_ns + added_ns, self._may_lose_ns - added_ns
 
     def on_observation(self, t_ns: int, *, doubt: bool, waits: bool) -> None:
         """Process the result of one sample.
@@ -142,6 +148,7 @@ class HoldMonitor(Sink):
         self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
         self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
         self._on_wall, self._can_fall = config.environment.on_wall, can_fall(config)
+        self._emulated = "servos" in config.emulated()
         self._travel = MotionSinceStop(self._seeing, float(np.mean(model.geometry.radius_m)))
         sources = [(name, self._seeing[name]) for name in self._travel.names]
         self._motion_sources = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in sources]
@@ -242,9 +249,11 @@ class HoldMonitor(Sink):
         self._pressed_ns = None
         self._felt_m_s2.clear()
         self._reads, self._unread = 0, Counter()
+        self._lost_ns()
         while True:
             hold = servos.look_after()
             time.on_servo_status(hold)
+            time.on_lost(self._lost_ns())
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)
@@ -277,6 +286,10 @@ class HoldMonitor(Sink):
             calm = self._press.waits and JOINTS in seen and not hold.trouble
             pause_ns = _SELDOM_NS if calm else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
+
+    def _lost_ns(self) -> int:
+        """Time that this computer has lost since the last call, ns."""
+        return 0 if self._rig.lost is None else sum(self._rig.lost.take().values())
 
     def _press_harder(self, now_ns: int, began_ns: int) -> None:
         """Raise the fan, once a check, if the force is too small or the robot slides after it has stopped.
@@ -414,7 +427,7 @@ class HoldMonitor(Sink):
         felt = self._doubt_of_weight()
         self._moving, self._seen_moving = bool(felt), False
         if hold.trouble or felt:
-            servos = lacking_in_words(hold) if hold.trouble else "torque is on"
+            servos = lacking_in_words(hold, emulated=self._emulated) if hold.trouble else "torque is on"
             return "; ".join([felt, servos] if felt else [servos])
         if JOINTS not in seen:
             some = len(self._unread) < len(SERVOS) and ", ".join(sorted(self._unread))

@@ -80,11 +80,12 @@ def untouched(why: str) -> Held:
     return Held("not needed", None, why, wanted=False, opened=False)
 
 
-def lacking_in_words(hold: ServoHold) -> str:
-    """Text with what the servos lack, and what to do about it."""
+def lacking_in_words(hold: ServoHold, *, emulated: bool) -> str:
+    """Text with what the servos lack, and what to do about it where they are real."""
     silent = [text for text in hold.trouble.values() if Status.TIMEOUT.value in text]
     if len(silent) == len(SERVOS):
         found = "no servo answers: check the servos' supply, the bus and its adapter"
     else:
         found = ", ".join(f"{name} ({text})" for name, text in hold.trouble.items())
-    return f"{found}; torque comes back with the servos only while this program runs: secure the robot"
+    found += "; torque comes back with the servos only while this program runs"
+    return found if emulated else f"{found}: secure the robot"

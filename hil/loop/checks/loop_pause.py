@@ -124,13 +124,16 @@ class LoopPause(Check):
 
     def excused(self, stops: Mapping[str, str]) -> dict[str, str]:
         """Messages of stop conditions by reason; those of excused devices become `held_up`."""
-        found, first = dict(stops), ""
+        silent = {reason: reason.partition("_")[2] for reason in stops if reason.startswith(SILENT)}
+        excused = {reason: name for reason, name in silent.items() if self.excuse(name)}
+        late, names = next(map(self.excuse, excused.values()), ""), ", ".join(excused.values())
+        found: dict[str, str] = {}
         for reason, said in stops.items():
-            silent = reason.partition("_")[2] if reason.startswith(SILENT) else ""
-            if excuse := self.excuse(silent):
-                del found[reason]
-                first += f"; {said}" if first else f"{excuse} {said}"
-        return {"held_up": first, **found} if first and "held_up" not in stops else found
+            if reason not in excused:
+                found[reason] = said
+            else:
+                found.setdefault("held_up", f"{late} nothing that can be used came in time from: {names}")
+        return found
 
     def _late_in_words(self) -> str:
         return (
