@@ -102,8 +102,8 @@ class Cycle:
         if self.stops:
             (reason, message), *others = self.stops.items()
             suspects = {*self.suspects, *(name for also, _ in others for name in suspects_of(also))}
-            text = "; ".join([message, *(f"also {k}: {v}" for k, v in others)]) + context
-            raise SafetyStop(reason, text, sorted(suspects))
+            text = "; ".join([message, *(f"also {k}: {v}" for k, v in others)])
+            raise SafetyStop(reason, text + context * (reason != _PAUSED), sorted(suspects))
 
 
 def go_on(reason: str, message: str) -> None:

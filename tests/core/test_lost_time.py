@@ -119,6 +119,7 @@ def test_servos_are_silent_for_the_time_that_was_not_lost(checks, lost_ns, stops
         assert "this computer was late by 0.1" in str(stop)
         assert "came in time from: servos" in str(stop)
         assert "check" not in str(stop)
+        assert str(stop).count("this computer was late") == 1
     elif stop is not None:
         assert stop.reason == "stale_servos"
 

@@ -166,7 +166,9 @@ def is_there(dotted):
     for cut in range(len(parts), 0, -1):
         try:
             found = importlib.import_module(".".join(parts[:cut]))
-        except ModuleNotFoundError:
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] != "hil":
+                return True  # it needs a library that is not for this Python; others look at it
             continue
         for name in parts[cut:]:
             found = getattr(found, name, None)
