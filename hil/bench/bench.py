@@ -334,6 +334,8 @@ class Bench(HeldDevices):
             try:
                 loop.run(until)
             finally:
+                self.parameters.lifted(pipeline.supervisor.checks.weight)
+                self.parameters.moved(self.seen.contradicting)
                 self._hold.stopped(pipeline.supervisor.doubted, pipeline.supervisor.agreed)
                 if pipeline.external is not None:
                     self._warn(pipeline.external.warning)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.config.robot_record.overlay import known_parts
+from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DataError, RecordingError
 from hil.procedure import fit_history, hold_history, path_history
 from hil.procedure.bench_request import BenchSource
@@ -124,6 +125,7 @@ class RunBenches:
         world_ns: time of the emulated world when its bench was closed, ns; the latest of several worlds.
         looked_ns: the same for the end of the check of the stopped robot.
         lost: messages about devices that ended runs of the loop.
+        granted: parameters of the bench file, and what measurements said about them, by key.
     """
 
     def __init__(
@@ -143,6 +145,7 @@ class RunBenches:
         self.left = HoldRecord(results.journal, self.guard, before, finished)
         self.world_ns = self.looked_ns = 0
         self.lost: list[str] = []
+        self.granted: dict[str, CrossCheck] = {}
 
     @property
     def bench(self) -> Bench:
@@ -207,6 +210,11 @@ class RunBenches:
     def _leave(self, bench: Bench) -> None:
         self._came(bench.world_ns, bench.looked_ns)
         self.lost += bench.lost
+        for row in bench.parameters.rows():
+            if row.state != "unconfirmed":
+                self.granted[row.key] = row
+            else:
+                self.granted.setdefault(row.key, row)
         tethered = bench.config.safety.tethered
         self.left.add(self._bench_name, bench.held, bench.seen.rows(), tethered=tethered)
 

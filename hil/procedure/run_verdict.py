@@ -127,6 +127,7 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "faults_not_begun": list(missed),
         "notes": findings.notes + context.results.set_again() + reported,
         "events": benches.left.events,
+        "taken_for_granted": [row.to_json() for row in benches.granted.values()],
         "held": _held(benches),
     }
 

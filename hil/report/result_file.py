@@ -104,6 +104,15 @@ class _Calibration(_Part):
     sha256: str = ""
 
 
+class _Granted(_Part):
+    key: str
+    value: Any = None
+    state: Literal["confirmed", "contradicted", "unconfirmed"]
+    by: str = ""
+    says: Any = None
+    difference: _Number = None
+
+
 class _Result(_Part):
     schema_version: Literal[1] = Field(alias="schema")
     procedure: str
@@ -138,6 +147,7 @@ class _Result(_Part):
     recordings: list[str] = []
     notes: list[str] = []
     events: list[_Event] = []
+    taken_for_granted: list[_Granted] = []
 
 
 def wrong_shape(error: ValidationError) -> str:

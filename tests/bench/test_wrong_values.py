@@ -1,5 +1,6 @@
 """A bench file with a wrong number, and hardware with the true one: the key is named before or soon."""
 
+import contextlib
 import json
 import math
 
@@ -159,3 +160,14 @@ def test_every_parameter_has_a_row_of_plain_values():
         assert row.by, row.key
     assert rows["adhesion.pole_pairs"].state == "confirmed"
     assert math.isfinite(rows["adhesion.pole_pairs"].difference)
+
+
+def test_a_climb_confirms_the_weight_and_a_stop_contradicts_it():
+    states = {}
+    for said in (3.25, 1.95):
+        bench = opened(wrong("robot.mass_kg", said, 3.25))
+        with bench, contextlib.suppress(SafetyStop):
+            bench.drive(UP, hold_s=0.1)
+        states[said] = {row.key: row for row in bench.parameters.rows()}["robot.mass_kg"]
+    assert (states[3.25].state, states[1.95].state) == ("confirmed", "contradicted")
+    assert abs(states[3.25].difference) < 0.1

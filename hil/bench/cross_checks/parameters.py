@@ -15,6 +15,7 @@ from hil.core.cross_check import CrossCheck, strongest
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.core.signals import Event
+from hil.loop.checks.weight import WRONG_SHARE, WeightCheck
 
 OF_NO_DEVICE = ("environment", "robot", "alignment")
 """Tables without a device that have parameters."""
@@ -63,6 +64,15 @@ class Parameters:
                 key, value, "contradicted", event.source, says, event.factor - 1.0, event.message
             )
 
+    def lifted(self, check: WeightCheck | None) -> None:
+        """Take the work of the drives of a run, where it fits the weight."""
+        if check is not None and abs(check.off_share) <= WRONG_SHARE:
+            self.take(
+                CrossCheck(key, value, "confirmed", "the work of the drives", value, check.off_share)
+                for key in ("robot.mass_kg", *check.lifted.keys)
+                if (value := self._value(key)) is not None
+            )
+
     def _value(self, key: str) -> Any:
         table, _, name = key.partition(".")
         return getattr(getattr(self._config, table, None), name, None)
@@ -86,7 +96,7 @@ class Parameters:
         nouns = {name: kinds()[name].noun for name in parameter.by}
         here = [noun for name, noun in nouns.items() if name in self._config.of_one_world().devices()]
         if here:
-            return f"not yet; {' or '.join(here)}, once the robot moves"
+            return f"nothing yet; {' or '.join(here)}, as the robot moves"
         return f"nothing on this bench; add {' or '.join(nouns.values())}"
 
     def must_agree(self) -> None:

@@ -61,10 +61,14 @@ class WeightCheck(Check):
     Args:
         lifted: what the bench file says.
         stops: whether a contradiction stops the robot.
+
+    Attributes:
+        lifted: what the bench file says.
+        off_share: difference found, as a share of the weight; NaN before the robot has gone far enough.
     """
 
     def __init__(self, lifted: Lifted, *, stops: bool) -> None:
-        self._lifted, self._stops = lifted, stops
+        self.lifted, self._stops = lifted, stops
         self.reset()
 
     def reset(self) -> None:
@@ -72,7 +76,7 @@ class WeightCheck(Check):
         self._work_j = self._height_m = self._way_m = 0.0
         self._last: tuple[int, list[float]] | None = None
         self._rolls_since_ns: int | None = None
-        self._told, self._judged = "", False
+        self._told, self._judged, self.off_share = "", False, math.nan
 
     def on_samples(self, cycle: Cycle) -> None:
         """Add the work of a cycle, and compare it with the weight."""
@@ -99,7 +103,7 @@ class WeightCheck(Check):
             self._rolls_since_ns = t_ns
         if t_ns - self._rolls_since_ns < _STEADY_NS:
             return
-        lifted, currents = self._lifted, sample.current_a.tolist()
+        lifted, currents = self.lifted, sample.current_a.tolist()
         for k, (angle, before, rate, steer) in enumerate(
             zip(angles, last[1], rates, wheels.steering_rad.tolist(), strict=True)
         ):
@@ -116,11 +120,12 @@ class WeightCheck(Check):
         if abs(self._height_m) < _LEAST_SHARE * self._way_m or not math.isfinite(self._work_j):
             return
         self._judged = True
-        lifted = self._lifted
+        lifted = self.lifted
         found_n = self._work_j / self._height_m
         cycle.diagnostics["weight_less_push_n"] = found_n
         wanted_n = lifted.weight_n - lifted.thrust_n
-        if abs(found_n - wanted_n) <= WRONG_SHARE * lifted.weight_n:
+        self.off_share = (found_n - wanted_n) / lifted.weight_n
+        if abs(self.off_share) <= WRONG_SHARE:
             return
         mass_kg = (found_n + lifted.thrust_n) / (GRAVITY_M_S2 * lifted.along)
         keys = ", ".join(("robot.mass_kg", *lifted.keys))
