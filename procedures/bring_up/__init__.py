@@ -18,6 +18,7 @@ from hil.bench.doctor.steering_offsets import encoder_minus_servo
 from hil.bench.hold.tilt_check import APART_RAD, sees_the_tilt, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
+from hil.core.cross_check import CrossCheck
 from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.registry import kinds
@@ -55,6 +56,13 @@ _PUSHES = 0.5
 _CLEAR = 0.5
 """Least measured value of a clear direction: below it something else moved, or hardly anything."""
 _MOST_DRIFT_PPM = 90.0
+_SHOWN_BY_MOTION = {
+    "alignment": ("drive_sign", "steer_sign"),
+    "servos": ("drive_ids", "steer_ids"),
+    "encoders": ("sign", "signals"),
+    "mocap": ("up_axis",),
+}
+"""Keys that are right if every joint and sensor goes the right way, by table."""
 _GENTLE_M_S2 = 0.12
 """Wheel acceleration of the small steps, within the limits of larger robots, too."""
 
@@ -271,6 +279,18 @@ def run(ctx: Context) -> None:
     with ctx.step("body", timeout_s=120.0):
         move_body(ctx, bench)
     leave_part(ctx, "signs", values=_signs(ctx))
+    if ctx.passing():
+        bench.parameters.take(_confirmed(ctx))
+
+
+def _confirmed(ctx: Context) -> Iterator[CrossCheck]:
+    """Yield the keys of the bench file that small motions in the right directions confirm."""
+    tables = {**ctx.source.config.devices(), "alignment": ctx.source.config.alignment}
+    for table, keys in _SHOWN_BY_MOTION.items():
+        if table in ("alignment", *ctx.parameters.devices):
+            for key in keys:
+                value = getattr(tables[table], key)
+                yield CrossCheck(f"{table}.{key}", value, "confirmed", "small motions", value)
 
 
 def _signs(ctx: Context) -> dict[str, Any]:
