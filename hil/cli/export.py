@@ -48,7 +48,7 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
                 expected="stamps that go on",
                 remedy="cut the recording there",
             )
-        records = list(to_cycles(found))
+        records = list(to_cycles(found, on_wall=False))
     if not any(record.measurements.wheels for record in records):
         why = f" that can be read ({'; '.join(problems)})" if problems else ""
         raise DataError(str(recording), "holds no wheel sample" + why, expected="at least one row")

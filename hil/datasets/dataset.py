@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
+from hil.datasets.bag_sensors import SensorLog
 from hil.datasets.cleaning import Log, count_gaps, recorded_rates
 from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal
@@ -47,6 +48,7 @@ class Recording:
         notes: corrections of its ground truth, see `hil.datasets.truth_correction`.
         coupling: turns (4) of the drive encoders per turn of the steering that were taken out; else empty.
         nominal: nominal robot that it was read for.
+        sensors: samples of the IMU and the camera of another robot's bag.
         later: parts after each step back of the stamps, as recordings of their own.
         derived: cache of results computed from the recording alone; empty in copies made by `replace`.
     """
@@ -69,6 +71,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     coupling: tuple[float, ...] = ()
     nominal: Nominal = field(default_factory=Nominal)
+    sensors: SensorLog = field(default_factory=SensorLog)
     later: tuple[Recording, ...] = ()
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 

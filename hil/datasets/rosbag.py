@@ -22,6 +22,7 @@ from hil.core.geometry import Array
 from hil.datasets.bag_check import CONVERT
 from hil.datasets.bag_messages import CDR, STORAGES, opened_bag, storage_files, storage_suffix
 from hil.datasets.bag_rows import JointRows, TruthPoses
+from hil.datasets.bag_sensors import ImuRows, TrackerRows, check_sensor_times, sensor_log
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
@@ -34,12 +35,18 @@ _TRANSFORMS = ("/tf", "/tf_static")
 _ENOUGH = 20_000
 """Largest number of messages to scan: frames that appear later are rare, and bags may be long."""
 LOG = logging.getLogger(__name__)
-_JOINTS = "sensor_msgs/msg/JointState"
 _POSES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "nav_msgs/msg/Odometry",
 )
+_TYPES = {
+    "wheels": ("sensor_msgs/msg/JointState",),
+    "truth": _POSES,
+    "imu": ("sensor_msgs/msg/Imu",),
+    "tracker": _POSES,
+}
+"""Types of messages of each table of the mapping."""
 _DAY_NS = 86_400 * NS_PER_S
 _BLOCK_BYTES = 1 << 20
 
@@ -154,17 +161,21 @@ def _digest(file: Path) -> str:
 
 
 def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
-    wheels, truth = topics.wheels, topics.truth
-    joints, poses = JointRows(file, wheels.topic, wheels.joints), TruthPoses(file, truth)
-    stamps: dict[str, list[_Stamp]] = {wheels.topic: [], truth.topic: []}
-    for topic, stamp, message in _messages(file, (wheels.topic, truth.topic)):
+    wheels, names = topics.wheels, topics.topics
+    poses, tracker = TruthPoses(file, topics.truth), TrackerRows()
+    joints = JointRows(file, wheels.topic, wheels.joints)
+    imu = ImuRows(removed=topics.imu is not None and topics.imu.gravity == "removed")
+    rows_of: dict[str, Any] = {"wheels": joints, "truth": poses, "imu": imu, "tracker": tracker}
+    collectors = {topic: rows_of[table] for table, topic in names.items()}
+    stamps: dict[str, list[_Stamp]] = {topic: [] for topic in collectors}
+    for topic, stamp, message in _messages(file, {topic: _TYPES[table] for table, topic in names.items()}):
         stamps[topic].append(stamp)
-        (poses if topic == truth.topic else joints).add(message)
+        collectors[topic].add(message)
     if empty := [topic for topic, found in stamps.items() if not found]:
         raise DataError(
             str(file),
             f"{' and '.join(empty)} {'hold' if len(empty) > 1 else 'holds'} no message",
-            expected="messages of the wheels and of the ground truth",
+            expected="messages on each topic of the mapping",
             remedy="name topics with messages in the mapping (`ros2 bag info` counts them), or leave it out",
         )
     times = _times(file, stamps)
@@ -172,15 +183,26 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
     known, planar, repairs = poses.rows()
     for problem in broken_frames(file):
         LOG.warning("%s: %s", file, problem)
-    return build_recording(
+    found = build_recording(
         file.stem,
         Log(wheel_s, _signed(wheels, rows)),
-        Log(times[truth.topic][known], planar),
+        Log(times[names["truth"]][known], planar),
         motion=motion_of(file.stem),
         sources=(str(file),),
         nominal=nominal,
         repairs=repairs,
     )
+    sensors = {names[table]: rows_of[table] for table in ("imu", "tracker") if table in names}
+    if not sensors:
+        return found
+    check_sensor_times(file, found, {topic: times[topic] for topic in sensors})
+    log = sensor_log(
+        file,
+        topics,
+        imu.samples(times[names["imu"]]) if "imu" in names else (),
+        tracker.samples(times[names["tracker"]]) if "tracker" in names else (),
+    )
+    return replace(found, sensors=log)
 
 
 def _refuse_folder(folder: Path) -> None:
@@ -233,8 +255,8 @@ def _check_stamps(path: Path, topic: str, stamps: Sequence[_Stamp]) -> None:
     )
 
 
-def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp, Any]]:
-    """Iterate over topic, stamp and message of the wanted topics."""
+def _messages(path: Path, wanted: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, _Stamp, Any]]:
+    """Iterate over topic, stamp and message of the wanted topics, each with its possible types."""
     with opened_bag(path) as bag:
         there = {topic.name: topic for topics in bag.topics for topic in topics}
         if missing := [name for name in wanted if name not in there]:
@@ -245,7 +267,7 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp
             )
         for topic in (topic for topics in bag.topics for topic in topics if topic.name in wanted):
             _check_encoding(path, topic)
-            _check_type(path, topic.name, topic.kind, joints=topic.name == wanted[0])
+            _check_type(path, topic.name, topic.kind, wanted[topic.name])
         for number, (topic, log_ns, message) in enumerate(bag.messages(wanted)):
             at = message.header.stamp
             yield topic.name, _Stamp(number, at.sec * NS_PER_S + at.nanosec, log_ns), message
@@ -259,9 +281,8 @@ def _check_encoding(path: Path, topic: BagTopic) -> None:
         )
 
 
-def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:
-    """Raise `DataError` for a topic whose type is wrong for wheels or ground truth."""
-    expected = (_JOINTS,) if joints else _POSES
+def _check_type(path: Path, topic: str, kind: str, expected: Sequence[str]) -> None:
+    """Raise `DataError` for a topic whose type is wrong for its table."""
     if kind not in expected:
         raise DataError(str(path), f"{topic} is of another type ({kind})", expected=" or ".join(expected))
 

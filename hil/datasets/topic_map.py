@@ -1,8 +1,9 @@
-"""Topic mapping of another robot's bag, in TOML: the joints of each wheel, and the topic of the ground truth.
+"""Topic mapping of another robot's bag, in TOML: its wheels, its ground truth, its IMU and its camera.
 
 ::
 
-    schema = 1
+    schema = 2
+    body_frame = "base_link"                   # optional: the robot in /tf_static
     [wheels]
     topic = "/joint_states"                    # sensor_msgs/JointState, rad
     drive = ["fl_drive", "bl_drive", "br_drive", "fr_drive"]
@@ -15,18 +16,29 @@
     up_axis = "z"                              # optional, as are the next two
     mount_position_m = [0.0, 0.0, 0.0]
     mount_rotation_wxyz = [1.0, 0.0, 0.0, 0.0]
+    [imu]                                      # optional: sensor_msgs/Imu
+    topic = "/imu/data"
+    frame = "imu_link"                         # mount from /tf_static, or mount_rotation_wxyz
+    latency_s = 0.0                            # its stamps are late by so much
+    gravity = "in_force"                       # "removed" where the driver has taken it out
+    [tracker]                                  # optional: an odometry with a frame of its own
+    topic = "/vio/odometry"                    # PoseStamped, PoseWithCovarianceStamped or Odometry
+    mount_position_m = [0.0, 0.0, 0.0]         # or frame, as above
+    mount_rotation_wxyz = [1.0, 0.0, 0.0, 0.0]
+    scale = 1.0
+    latency_s = 0.0
 """
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hil.config.device import Position
-from hil.config.values import UnitQuaternion
+from hil.config.values import UnitQuaternion, Within
 from hil.core.errors import ConfigError
 from hil.support.file_reading import read_toml
 
@@ -91,19 +103,80 @@ class TruthTopic(_Strict):
     mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-class TopicMap(_Strict):
-    """Topics of wheels and ground truth in a bag."""
+class SensorTopic(_Strict):
+    """Topic of a sensor on the robot.
 
-    schema_version: Literal[1] = Field(alias="schema")
-    wheels: WheelTopic
-    truth: TruthTopic
+    Attributes:
+        topic: topic of the messages.
+        frame: frame of the sensor, whose mount is then that of `/tf_static`.
+        mount_position_m, mount_rotation_wxyz: pose of the sensor's frame on the robot, without `frame`.
+        latency_s: time by which its stamps are late, s.
+    """
+
+    topic: str
+    frame: str | None = None
+    mount_position_m: Position = (0.0, 0.0, 0.0)
+    mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
+    latency_s: Annotated[float, Within(-0.5, 0.5, "s; more is another clock")] = 0.0
 
     @model_validator(mode="after")
-    def _truth_of_its_own(self) -> TopicMap:
-        if self.truth.topic == self.wheels.topic:
-            raise ValueError(
-                f"wheels.topic and truth.topic are both {self.truth.topic!r}: name the topic of the poses"
-            )
+    def _one_mount(self) -> SensorTopic:
+        given = self.model_fields_set & {"mount_position_m", "mount_rotation_wxyz"}
+        if self.frame is not None and given:
+            raise ValueError(f"frame and {min(given)} both give the mount: leave one out")
+        return self
+
+
+class ImuTopic(SensorTopic):
+    """`sensor_msgs/Imu`: rates and specific force.
+
+    Attributes:
+        gravity: `in_force` where the acceleration is the specific force (REP 145), 9.8 m/s^2 at rest;
+            `removed` where the driver has taken gravity out.
+    """
+
+    gravity: Literal["in_force", "removed"] = "in_force"
+
+
+class TrackerTopic(SensorTopic):
+    """Poses of a camera or of another odometry, in a frame of its own.
+
+    Attributes:
+        scale: distance that it reports over the true distance.
+    """
+
+    scale: Annotated[float, Within(0.5, 2.0, "reported over true distance")] = 1.0
+
+
+class TopicMap(_Strict):
+    """Topics of a bag: wheels, ground truth, IMU and camera.
+
+    Attributes:
+        body_frame: frame of the robot in `/tf_static`: x forward, y left, origin between the wheels.
+    """
+
+    schema_version: Literal[2] = Field(alias="schema")
+    body_frame: str = "base_link"
+    wheels: WheelTopic
+    truth: TruthTopic
+    imu: ImuTopic | None = None
+    tracker: TrackerTopic | None = None
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Topic of each table that is there."""
+        tables = {name: getattr(self, name) for name in ("wheels", "truth", "imu", "tracker")}
+        return {name: table.topic for name, table in tables.items() if table is not None}
+
+    @model_validator(mode="after")
+    def _topics_of_their_own(self) -> TopicMap:
+        table_of: dict[str, str] = {}
+        for table, topic in self.topics.items():
+            if topic in table_of:
+                raise ValueError(
+                    f"{table_of[topic]}.topic and {table}.topic are both {topic!r}: give each its own"
+                )
+            table_of[topic] = table
         return self
 
 

@@ -149,7 +149,7 @@ def open_recording(
         robot, tables = nominal_of(config), list[Recording]()
         if coupling is None and calibration is not None:
             coupling = coupling_of(read_calibration(calibration))
-        found = _read_foreign(path, topics, truth, coupling, robot, tables)
+        found = _read_foreign(path, topics, truth, coupling, robot, tables, config.environment.on_wall)
         made, failed = _bench(config, None, calibration, {}, known=bench is not None)
         if calibration is not None:
             robot = replace(robot, source=str(calibration))
@@ -217,18 +217,20 @@ def _read_foreign(
     coupling: Coupling | None,
     robot: Nominal,
     tables: list[Recording],
+    on_wall: bool,
 ) -> Any:
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
         found = read_bag(path, read_topic_map(topics), robot)
         parts = [covered(replace(part, later=()), robot) for part in (found, *found.later)]
-        tables.extend(corrected(decoupled(parts, robot.geometry, coupling)))
+        parts = decoupled(parts, robot.geometry, coupling)
+        tables.extend(parts if on_wall else corrected(parts))  # sag on a wall looks like a turned body
         check_signs(tables, robot)
-        return lambda: map(to_run, tables)
+        return lambda: (to_run(one, on_wall=on_wall) for one in tables)
 
     def read() -> Iterator[RecordedRun]:
         tables.extend(read_recordings([path], nominal=robot, truth=truth, coupling=coupling))
-        return map(to_run, tables)
+        return (to_run(one, on_wall=on_wall) for one in tables)
 
     return read
 

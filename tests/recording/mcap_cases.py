@@ -34,7 +34,7 @@ from hil.core.signals import (
 )
 
 MAPPING = """
-schema = 1
+schema = 2
 [wheels]
 topic = "/wheels"
 drive = ["w1", "w2", "w3", "w4"]

@@ -18,7 +18,7 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINT, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
 DRIVE, STEER = [f"w{i}" for i in range(1, 5)], [f"s{i}" for i in range(1, 5)]
 MAPPING = """
-schema = 1
+schema = 2
 [wheels]
 topic = "/wheels"
 drive = ["w1", "w2", "w3", "w4"]

@@ -114,7 +114,7 @@ def test_a_damaged_recording_is_exported_as_far_as_it_goes(recording, tmp_path):
 
 
 MAPPING = f"""
-schema = 1
+schema = 2
 [wheels]
 topic = "/joint_states"
 drive = {json.dumps(SERVOS[:4])}
