@@ -8,6 +8,7 @@ import tempfile
 import weakref
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, overload
 
 import msgspec
@@ -18,6 +19,7 @@ from hil.core.signals import CycleRecord
 from hil.loop.driven_motion import Motion
 from hil.loop.motion_columns import MotionColumns
 from hil.recording.cycle_codec import CycleCodec
+from hil.recording.diagnostics_on_disk import DiagnosticsOnDisk, Stretch
 
 _LOG = logging.getLogger(__name__)
 _BLOCK, _KEPT_BLOCKS = 250, 8
@@ -42,6 +44,7 @@ class CycleLog(Sequence[CycleRecord]):
         self._codec: CycleCodec | None = None
         self._blocks: list[Block] = [[]]
         self._columns: list[MotionColumns] = []
+        self._diagnostics: list[Stretch] = []
         self._length, self._stuck = 0, False
         self._file: Any = None
         self._newest: list[CycleRecord] = self._blocks[0]  # type: ignore[assignment]
@@ -59,15 +62,23 @@ class CycleLog(Sequence[CycleRecord]):
 
     def motion(self) -> Motion:
         """The whole drive; the log takes no more records then."""
-        rest = [self._block(i) for i in range(len(self._columns), len(self._blocks))]
-        columns = MotionColumns.joined([*self._columns, *map(MotionColumns.of, rest)])
+        for number in range(len(self._columns), len(self._blocks)):
+            self._keep(MotionColumns.of(self._block(number)))
+        diagnostics = DiagnosticsOnDisk(self._diagnostics, self._file, self)
+        columns = replace(MotionColumns.joined(self._columns), diagnostics=diagnostics)
         self._columns.clear()
+        self._diagnostics.clear()
         return Motion(self, columns)
+
+    def _keep(self, columns: MotionColumns, written: Stretch | None = None) -> None:
+        """Keep the numbers of the next block, its diagnostics where they were written."""
+        self._diagnostics.append(written or Stretch(len(columns), columns.diagnostics))
+        self._columns.append(replace(columns, diagnostics={}))
 
     def _spill(self, number: int) -> None:
         """Write a block to the disk, and keep its numbers."""
         records = self._block(number)
-        self._columns.append(MotionColumns.of(records))
+        columns, written = MotionColumns.of(records), None
         try:
             if self._codec is None:
                 self._codec = CycleCodec(self._added)
@@ -78,13 +89,13 @@ class CycleLog(Sequence[CycleRecord]):
                 weakref.finalize(self, self._file.close)
             at = self._file.seek(0, os.SEEK_END)
             self._file.write(packed)
-            self._file.flush()
+            written = Stretch.written(self._file, columns.diagnostics, len(columns))
+            self._blocks[number] = (at, len(packed))
         except (TypeError, ValueError, OverflowError, OSError, HilError) as error:
             if not self._stuck:
                 self._stuck = True
                 _LOG.warning("a long drive fills the memory: its cycles cannot leave it (%s)", error)
-            return
-        self._blocks[number] = (at, len(packed))
+        self._keep(columns, written)
 
     def _block(self, number: int) -> list[CycleRecord]:
         """Records of a block; the last one that was read from the disk is kept."""

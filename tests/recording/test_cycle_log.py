@@ -1,6 +1,7 @@
 """A long drive keeps its cycles on the disk: what comes back, what stays in memory, what a disk refuses."""
 
 import pickle
+import tracemalloc
 import weakref
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from hil.recording.cycle_codec import CycleCodec
 from hil.recording.cycle_log import CycleLog
 
 COUNT = 2600
+COLUMNS = [tracemalloc.Filter(True, "*/hil/loop/motion_columns.py")]
 CODEC = CycleCodec()
 
 
@@ -51,6 +53,9 @@ def test_the_arrays_of_a_long_drive_are_those_of_its_records(log, records):
     for name in ("t_s", "reference", "estimate", "twist", "covariance", "wheels", "mocap"):
         np.testing.assert_array_equal(getattr(long, name), getattr(whole, name), err_msg=name)
     np.testing.assert_array_equal(long.diagnostic("nis_wheels"), whole.diagnostic("nis_wheels"))
+    assert set(long.columns.diagnostics) == set(whole.columns.diagnostics)
+    for name, values in pickle.loads(pickle.dumps(long.columns)).diagnostics.items():
+        np.testing.assert_array_equal(values, whole.diagnostic(name), err_msg=name)
     np.testing.assert_array_equal(long.covariance, [r.state.covariance for r in records])
     assert long.events == whole.events
     both = Motion(tuple(records[:10])).then(Motion(tuple(records[10:500])))
@@ -79,3 +84,23 @@ def test_cycles_that_no_disk_takes_stay_in_memory(records, tmp_path, monkeypatch
     np.testing.assert_array_equal(log.motion().estimate, Motion(tuple(records)).estimate)
     (message,) = caplog.messages
     assert "nowhere" in message
+
+
+def test_diagnostics_of_older_cycles_are_not_in_memory_and_some_cycles_have_none(records):
+    """Half of what a long drive kept were its diagnostics, 57 on a wall."""
+    names = [f"figure_{k}" for k in range(200)]
+    log, expected = CycleLog(), []
+    tracemalloc.start()
+    for k, record in enumerate(records):
+        value = float(k) if k % 1000 < 700 else np.nan
+        figures = dict.fromkeys(names, value) if value == k else {}
+        log.append(replace(record, state=replace(record.state, diagnostics=figures)))
+        expected.append(value)
+    del record, figures
+    log.append(records[0])
+    motion = log.motion()
+    kept = sum(stat.size for stat in tracemalloc.take_snapshot().filter_traces(COLUMNS).statistics("lineno"))
+    tracemalloc.stop()
+    for name in (names[0], names[-1]):
+        np.testing.assert_array_equal(motion.diagnostic(name)[:-1], expected)
+    assert kept < 0.9 * 8 * len(names) * COUNT, "the newest 2000 of 2600 cycles are in memory"
