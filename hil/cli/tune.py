@@ -247,6 +247,7 @@ def _read(
             findings.refused.append(f"{path}: {NO_MOTION}")
         if opened.tables:
             tables, geometry = [*tables, *opened.tables], opened.bench.geometry
+            findings.refused += opened.contradicted_sensors
         usable = [run for run in found if run.can_be_checked()]
         if not usable:
             raise UsageError(f"{path}: has no ground truth to tune on", expected="motion capture in it")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,6 +28,7 @@ from hil.datasets.drive_coverage import covered
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
+from hil.datasets.sensor_checks import sensor_contradictions
 from hil.datasets.topic_map import read_topic_map
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
@@ -94,8 +96,19 @@ class OpenedRecording:
 
     @property
     def contradicted(self) -> list[str]:
-        """One line if a foreign recording's wheels contradict its ground truth; complete after `runs`."""
-        return contradictions(self.tables, self.bench.geometry) if self.tables else []
+        """Lines where wheels and ground truth, or sensors, of a foreign recording contradict each other.
+
+        Complete after `runs` was read.
+        """
+        wheels = contradictions(self.tables, self.bench.geometry) if self.tables else []
+        return [*wheels, *self.contradicted_sensors]
+
+    @property
+    def contradicted_sensors(self) -> list[str]:
+        """The same for IMU and camera alone."""
+        geometry, on_wall = self.bench.geometry, self.bench.config.environment.on_wall
+        found = (sensor_contradictions(one, geometry, on_wall=on_wall) for one in self.tables)
+        return list(chain.from_iterable(found))
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"

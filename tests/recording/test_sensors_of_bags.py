@@ -246,3 +246,28 @@ def test_replay_uses_them(bag, tmp_path, capsys):
     assert figures["rmse_position_m"] < 5e-4
     assert figures["rmse_theta_rad"] < 1e-3
     assert figures["rejected_tracker"] < 50
+
+
+TURNS = {
+    "about y": "0.70710678, 0.0, 0.70710678, 0.0",
+    "upside down": "0.0, 1.0, 0.0, 0.0",
+    "about z": "0.70710678, 0.0, 0.0, 0.70710678",
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "turn", "said"),
+    [
+        ("imu", "about y", r"\[imu\]: its turning .* that about -?x agrees"),
+        ("imu", "upside down", r"\[imu\]: its turning .* that about -?[xyz] agrees"),
+        ("tracker", "about z", r"\[tracker\]: its way is turned by (8|9|10)\d deg about z"),
+    ],
+)
+def test_a_wrong_mount_is_named(bag, tmp_path, capsys, table, turn, said):
+    mount = [float(v) for v in TURNS[turn].split(",")]
+    if table == "imu":
+        mount = quat_multiply(mount, SIDEWAYS).tolist()
+    topic = {"imu": "/chip", "tracker": "/vio"}[table]
+    path = mapping(tmp_path, f'[{table}]\ntopic = "{topic}"\nmount_rotation_wxyz = {mount}\n')
+    assert main(["replay", str(bag), "--topics", str(path), "--estimator", "odometry", "--json"]) == 2
+    assert any(re.search(said, line) for line in json.loads(capsys.readouterr().out)["problems"])

@@ -1,0 +1,146 @@
+"""Compares IMU and camera of another robot's bag with its wheels: axes, signs, factors, gravity.
+
+A wrong mount would not show in the filters: they average it away or reject the sensor. Moves of one second
+are compared, each in the robot's own frame, where neither drift nor a start heading counts. A sensor is
+judged by a motion only where there is enough of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array, quat_rotate
+from hil.core.signals import Inputs, Status
+from hil.datasets.dataset import Recording
+from hil.datasets.sampling import interpolate, wheel_steps
+from hil.loop.alignment import Alignment
+from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
+from hil.robot.odometry import integrate
+from hil.robot.statics import GRAVITY_M_S2
+
+_STRIDE_S, _FINE = 1.0, 50
+_LEAST_RAD, _LEAST_M = 0.3, 0.1
+"""Root of the summed squares of the moves from which turning and way are compared."""
+_NEAR, _FACTOR, _ANGLE_RAD = 0.3, 1.25, 0.35
+_LEANS = math.cos(_ANGLE_RAD)
+_MOUNT = "correct its mount_rotation_wxyz, or its frame"
+_NORMS = (
+    (GRAVITY_M_S2, ""),
+    (0.0, 'gravity is not in it: set gravity = "removed"'),
+    (2.0 * GRAVITY_M_S2, 'gravity is in it: set gravity = "in_force"'),
+    (1.0, "it is in g: let the driver send m/s^2"),
+)
+"""Lengths of the specific force, m/s^2, that mean something; the first is right."""
+
+
+def sensor_contradictions(recording: Recording, geometry: WheelGeometry, *, on_wall: bool) -> list[str]:
+    """One line for each sensor that contradicts the wheels or gravity, with what would agree.
+
+    Args:
+        recording: recording with its sensors.
+        geometry: geometry of the wheels.
+        on_wall: True where gravity lies in the motion plane.
+    """
+    found = (
+        *_of_rates(recording, geometry),
+        *_of_gravity(recording, on_wall),
+        *_of_camera(recording, geometry),
+    )
+    return [f"{recording.name}: {line}" for line in found]
+
+
+def _moves_by_wheels(recording: Recording, edges_s: Array, geometry: WheelGeometry) -> Array:
+    """Moves (S, 3) between edges (S + 1,), each in the frame of its begin."""
+    fine_s = np.linspace(edges_s[0], edges_s[-1], (len(edges_s) - 1) * _FINE + 1)
+    rotation, steering = wheel_steps(recording, fine_s, "position")
+    vectors = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
+    return _moves(integrate(np.zeros(3), twist_of_vectors(geometry, vectors))[::_FINE])
+
+
+def _moves(poses: Array) -> Array:
+    x, y, turn = np.diff(poses, axis=0).T
+    way = (x + 1j * y) * np.exp(-1j * poses[:-1, 2])
+    return np.column_stack([way.real, way.imag, turn])
+
+
+def _edges(recording: Recording, t_s: Array) -> Array:
+    """Edges (S + 1,) of the strides that wheels and a sensor share, s."""
+    begin_s, end_s = max(recording.t_s[0], t_s[0]), min(recording.t_s[-1], t_s[-1])
+    return np.asarray(np.arange(begin_s, end_s, _STRIDE_S), dtype=np.float64)
+
+
+def _of_rates(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
+    samples = [one for one in recording.sensors.imu if one.status is Status.OK]
+    t_s = np.array([one.stamp.t_ns for one in samples]) / NS_PER_S
+    if len(t_s) < 2 or len(edges_s := _edges(recording, t_s)) < 2:
+        return
+    mount = recording.sensors.parameters.imu.rotation_wxyz
+    rates = np.array([quat_rotate(mount, one.gyro_rad_s) for one in samples])
+    middle = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t_s)[:, None]
+    turned = np.diff(interpolate(edges_s, t_s, np.vstack([np.zeros(3), np.cumsum(middle, axis=0)])), axis=0)
+    true = _moves_by_wheels(recording, edges_s, geometry)[:, 2]
+    whole = float(np.linalg.norm(true))
+
+    def missed(other: Array) -> float:
+        return float(np.linalg.norm(other - true)) / whole
+
+    if whole < _LEAST_RAD or missed(turned[:, 2]) < _NEAR:
+        return
+    says = "[imu]: its turning about the robot's z axis contradicts the wheels"
+    for axis, name in enumerate("xyz"):
+        for sign, word in ((1.0, ""), (-1.0, "-")):
+            if missed(sign * turned[:, axis]) < _NEAR:
+                yield f"{says}, that about {word}{name} agrees: {_MOUNT}"
+                return
+    factor = float(turned[:, 2] @ true) / whole**2
+    yield f"{says}: it is {factor:.3g} times theirs; look at unit (rad/s) and mount"
+
+
+def _of_gravity(recording: Recording, on_wall: bool) -> Iterator[str]:
+    log = recording.sensors
+    force = np.array([one.specific_force_m_s2 for one in log.imu]).reshape(-1, 3)
+    force = force[np.isfinite(force).all(axis=1)]
+    if not len(force):
+        return
+    norm = float(np.median(np.linalg.norm(force, axis=1)))
+    nearest, remedy = min(_NORMS, key=lambda one: abs(one[0] - norm))
+    if remedy or abs(norm - nearest) > 1.0:
+        yield f"[imu]: its specific force is {norm:.2f} m/s^2 (median): {remedy or 'look at its unit'}"
+        return
+    up = quat_rotate(log.parameters.imu.rotation_wxyz, np.median(force, axis=0))
+    along = float(up[2]) / float(np.linalg.norm(up))
+    if along < _LEANS and not on_wall:
+        degrees = math.degrees(math.acos(along))
+        yield f"[imu]: upwards is {degrees:.0f} deg from the robot's z axis, on a floor: {_MOUNT}"
+    if on_wall and abs(along) > math.sin(_ANGLE_RAD):
+        degrees = math.degrees(math.asin(along))
+        yield f"[imu]: upwards is {degrees:.0f} deg out of the motion plane, on a wall: {_MOUNT}"
+
+
+def _of_camera(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
+    log = recording.sensors
+    alignment = Alignment(replace(log.parameters, on_wall=False))
+    poses = [p for p in alignment.measure(Inputs(0, 0, tracker=log.tracker)).tracker if p.valid]
+    t_s = np.array([one.stamp.t_ns for one in poses]) / NS_PER_S
+    if len(t_s) < 2 or len(edges_s := _edges(recording, t_s)) < 2:
+        return
+    seen = _moves(interpolate(edges_s, t_s, np.array([one.pose for one in poses])))
+    true = _moves_by_wheels(recording, edges_s, geometry)
+    if float(np.linalg.norm(true[:, 2])) > _LEAST_RAD and float(seen[:, 2] @ true[:, 2]) < 0.0:
+        yield f"[tracker]: it turns against the wheels: {_MOUNT}"
+        return
+    way = true[:, 0] + 1j * true[:, 1]
+    size = float(np.linalg.norm(way))
+    if size < _LEAST_M:
+        return
+    ratio = complex(np.vdot(way, seen[:, 0] + 1j * seen[:, 1])) / size**2
+    if abs(angle := math.atan2(ratio.imag, ratio.real)) > _ANGLE_RAD and abs(ratio) > _NEAR:
+        degrees = math.degrees(angle)
+        yield f"[tracker]: its way is turned by {degrees:.0f} deg about z from that of the wheels: {_MOUNT}"
+    elif not 1.0 / _FACTOR < abs(ratio) < _FACTOR:
+        yield f"[tracker]: its way is {abs(ratio):.3g} times that of the wheels: look at scale and unit"
