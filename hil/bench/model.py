@@ -19,10 +19,11 @@ from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.servos import ServosConfig
 from hil.controller import make_controller, make_modules
+from hil.controller.jog import JogController, JogLimits
 from hil.controller.joint_script import JointScript, ScriptedController
-from hil.core.choices import ESTIMATORS, LAWS, ROS2
+from hil.core.choices import ESTIMATORS, JOG, LAWS, ROS2
 from hil.core.errors import UsageError
-from hil.core.interfaces import Controller, Estimator
+from hil.core.interfaces import Controller, Estimator, ExternalController
 from hil.estimator import make_estimator
 from hil.loop.alignment import Alignment
 from hil.loop.pipeline import ControlPipeline
@@ -99,11 +100,13 @@ class BenchModel:
         """
         config = self.config
         law: Controller | None = None
-        external = None
+        external: ExternalController | None = None
         if isinstance(trajectory, JointScript):
             law = ScriptedController(trajectory)
         elif controller is not None and controller.startswith(ROS2):
             external = self._external(controller)
+        elif controller is not None and controller.startswith(JOG):
+            external = self._jog(controller)
         elif trajectory is not None:
             control = config.control
             if controller not in (None, *LAWS):
@@ -112,7 +115,7 @@ class BenchModel:
                 control = control.model_copy(update={"law": controller})
             law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
         scripted = trajectory is None or isinstance(trajectory, JointScript)
-        follows = external is not None or not scripted
+        follows = isinstance(external, Ros2Controller) or not scripted
         restart = self._restart()
         reference_at = None
         if trajectory is not None:
@@ -143,6 +146,18 @@ class BenchModel:
         )
         modules = make_modules(config.control, self.geometry, rate_hz=config.loop.rate_hz)
         return Ros2Controller(name, limits, self.alignment_parameters, modules)
+
+    def _jog(self, name: str) -> JogController:
+        """Controller for an operator who moves one joint; not connected yet."""
+        config = self.config
+        reach = JogLimits(
+            config.safety.wheel_rate_limit_rad_s,
+            config.control.acceleration_m_s2 / float(self.geometry.radius_m.max()),
+            config.control.steering_limit_rad,
+            config.control.steering_rate_rad_s,
+            1.0 / config.loop.rate_hz,
+        )
+        return JogController(name, reach)
 
     def _restart(self) -> Restart | None:
         """Restart after a loop pause in which the servos' watchdogs tripped; None without watchdogs."""

@@ -44,6 +44,7 @@ COMMANDS = {
     "export": "a recording as CSV or Parquet",
     "faults": "every fault of every emulated device: is the robot held, and is the cause named",
     "info": "versions for a bug report",
+    "jog": "one wheel, one steering axis or the body by the keyboard, while a key is held",
     "list": "procedures, profiles, devices, faults and estimators that there are",
     "live": "the control-estimate loop in real time, with monitoring",
     "replay": "re-run estimation on a recording, or verify that what it decided repeats",

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from hil.recording.mcap_writer import McapRecorder, OnFailure
     from hil.robot.trajectories import Trajectory
     from hil.ros2.publisher import Ros2Publisher
+    from hil.support.stop_signals import StopRequest
 
 
 @click.command()
@@ -131,7 +132,7 @@ def command(
     _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
     if repeated is not None and request.ros2_topic:
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
-    bench = _source(request, repeated)
+    bench = real_time_source(request, repeated)
     reference, known = None, None
     if source is not None:
         reference, known = load_trajectory(
@@ -153,22 +154,29 @@ def command(
                     dead_man_s,
                     known,
                 )
-                recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
+                recorder = (
+                    None if unrecorded else open_recorder(opened, record or dated_recording(), on_failure)
+                )
                 monitor = _monitor(opened, view)
                 session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
-                _live(session, view, as_json=as_json)
-        if recorder is not None and (lost := recorder.objection()) is not None:
-            raise lost
-        if stop.name:
-            raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
-        if opened.held.lost:
-            emulated = "servos" in opened.config.emulated()
-            raise DeviceError(
-                "emulated robot" if emulated else "robot",
-                f"NOT HELD: {opened.held.why}",
-                remedy="" if emulated else "secure it before anything else",
-            )
+                drive(session, view, as_json=as_json)
+        must_be_held(opened, recorder, stop)
     return EXIT_PASS
+
+
+def must_be_held(bench: Bench, recorder: McapRecorder | None, stop: StopRequest) -> None:
+    """Raise what a closed session has to report: a lost recording, a signal, or a robot NOT HELD."""
+    if recorder is not None and (lost := recorder.objection()) is not None:
+        raise lost
+    if stop.name:
+        raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
+    if bench.held.lost:
+        emulated = "servos" in bench.config.emulated()
+        raise DeviceError(
+            "emulated robot" if emulated else "robot",
+            f"NOT HELD: {bench.held.why}",
+            remedy="" if emulated else "secure it before anything else",
+        )
 
 
 def _announced(make: MakeTrajectory, duration_s: float | None) -> MakeTrajectory:
@@ -230,7 +238,7 @@ def _must_agree(
         check_new_file(record, "--record")
 
 
-def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
+def real_time_source(request: BenchRequest, repeated: Path | None = None) -> BenchSource:
     """The bench in real time, with the start pose and the recording that it repeats."""
     from hil.config.loading import must_have_a_device
 
@@ -240,7 +248,7 @@ def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
     return source.changed(overrides=start_question.asked_start(source.config))
 
 
-def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
+def drive(session: LiveSession, view: str | None, *, as_json: bool) -> None:
     """Run the session on the open bench; always prints the summary, even if the session never began."""
     from hil.bench.hold.result import seen_in_words
 
@@ -265,12 +273,13 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
             say_rerun_files(view)
 
 
-def _dated() -> Path:
+def dated_recording() -> Path:
     """Default path of a recording, made of date and time."""
     return Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3]).with_suffix(".mcap")
 
 
-def _recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
+def open_recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
+    """Add a recorder to the bench, and print where it writes; creates the folder."""
     from hil.recording.mcap_writer import McapRecorder
 
     try:

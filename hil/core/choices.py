@@ -24,5 +24,7 @@ DistributionName = Literal["humble", "iron", "jazzy", "kilted", "lyrical", "roll
 """Distributions of ROS 2."""
 ROS2 = "ros2:"
 """Prefix of the name of a controller that runs on ROS 2; its topic follows."""
+JOG = "jog:"
+"""Prefix of the name of a controller by which an operator moves one joint; the servo's name follows."""
 HIGHEST_DOMAIN = 101
 """Highest ROS 2 (DDS) domain whose ports stay below the ephemeral ports of Linux."""

@@ -91,6 +91,7 @@ class SampleCounter(Sink):
 
 
 if TYPE_CHECKING:
+    from hil.live.jog import JointJog
     from hil.live.ros2_program import Ros2Program
 
 
@@ -101,22 +102,25 @@ class LivePlan:
     Attributes:
         trajectory: function that makes the reference from the robot's pose; `commands`: velocity commands to
             follow instead. With neither the session only watches.
-        program: ROS 2 program that drives, along the trajectory if there is one.
+        program: ROS 2 program that drives, along the trajectory if there is one; or an operator who moves
+            one joint.
         duration_s: time after which it ends; at the trajectory's end, or never, when None.
         feedback: estimator in the loop; `observers` run beside it.
         dead_man_s: age at which a velocity command counts as `stop`.
         known: path that is known to keep the bench's limits; its segments at the end of the trajectory are
             not checked again while the robot waits.
+        over: returns, once per cycle, why the operator wants the end; empty to go on.
     """
 
     trajectory: MakeTrajectory | None = None
     commands: CommandLines | None = None
-    program: Ros2Program | None = None
+    program: Ros2Program | JointJog | None = None
     duration_s: float | None = None
     feedback: str = "ekf"
     observers: tuple[str, ...] = ()
     dead_man_s: float = 0.5
     known: Trajectory | None = None
+    over: Callable[[], str] = str
 
 
 class LiveSession:
@@ -326,6 +330,8 @@ class LiveSession:
                 self._first_ns = record.start_ns
             if self._stop.name:
                 self.ended = self._stop.name
+            elif why := self.plan.over():
+                self.ended = why
             elif length_s is not None and record.start_ns >= self._first_ns + waited_ns() + nanoseconds(
                 length_s
             ):

@@ -13,7 +13,7 @@ from typing import Any
 
 from hil.bench.model import BenchModel
 from hil.controller.joint_script import SCRIPT, JointScript
-from hil.core.choices import ESTIMATORS, LAWS, ROS2
+from hil.core.choices import ESTIMATORS, JOG, LAWS, ROS2
 from hil.core.errors import SafetyStop, UsageError
 from hil.core.external_commands import ExternalCommands
 from hil.core.signals import CycleRecord, Inputs, Reference
@@ -227,7 +227,7 @@ class RunCheck:
 def _foreign(start: RunStart) -> str:
     """Names the parts of a run that cannot run again because they are not of this package; else empty."""
     named = start.controller
-    known = named in (None, SCRIPT, *LAWS) or (named is not None and named.startswith(ROS2))
+    known = named in (None, SCRIPT, *LAWS) or (named is not None and named.startswith((ROS2, JOG)))
     laws = () if known else (named,)
     filters = [name for name in (start.feedback, *start.observers) if name not in ESTIMATORS]
     reported = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]

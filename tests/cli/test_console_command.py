@@ -11,7 +11,7 @@ import pytest
 
 from hil.bench import open_bench
 from hil.cli import console_forms, main
-from hil.cli.live import _recorder
+from hil.cli.live import open_recorder
 from hil.console import jobs
 from hil.console.json_files import read
 from hil.console.stop_server import PAGE, STOP, runs
@@ -182,9 +182,9 @@ def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, mo
 def test_a_live_recording_may_go_into_a_folder_that_is_not_there_yet(place):
     """As the console asks for one."""
     with open_bench("emulated_floor") as bench:
-        recorder = _recorder(bench, place / "new" / "deeper" / "run.mcap", "stop")
+        recorder = open_recorder(bench, place / "new" / "deeper" / "run.mcap", "stop")
         bench.observe(0.1, feedback="odometry")
     assert recorder.report()["path"] == str(place / "new" / "deeper" / "run.mcap")
     (place / "file").write_text("")
     with pytest.raises(DataError, match="cannot be created"):
-        _recorder(bench, place / "file" / "run.mcap", "stop")
+        open_recorder(bench, place / "file" / "run.mcap", "stop")

@@ -29,6 +29,7 @@ WRONG = {
     "export": [GONE],
     "faults": ["--bench", GONE],
     "info": ["--magic"],
+    "jog": ["--body", "--bench", GONE],
     "live": ["--bench", GONE],
     "replay": [GONE],
     "report": [GONE],

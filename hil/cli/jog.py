@@ -1,0 +1,113 @@
+"""`hil jog`: one wheel, one steering axis or the body by the keyboard, while a key is held."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.live import dated_recording, drive, must_be_held, open_recorder, real_time_source
+from hil.cli.options import JSON, FiniteRange
+from hil.core.errors import EXIT_PASS, Aborted, UsageError
+from hil.core.signals import WHEELS
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+    from hil.live import LivePlan
+    from hil.live.held_keys import HeldKeys
+
+_WAYS = {
+    "body": "w s ahead and back, a d to the left and right, q e turn",
+    "joint": "w a forward (counter-clockwise), s d back",
+}
+
+
+@click.command()
+@bench_options("bench", "emulate")
+@click.option("--wheel", type=click.Choice(WHEELS), help="Wheel to roll.")
+@click.option("--steer", type=click.Choice(WHEELS), help="Steering axis to turn.")
+@click.option("--body", is_flag=True, help="The whole robot.")
+@click.option(
+    "--speed",
+    "speed_m_s",
+    default=0.02,
+    show_default=True,
+    type=FiniteRange(0.001, 0.1),
+    help="Speed of the body, or of a wheel's rim, in m/s.",
+)
+@click.option(
+    "--turn",
+    "turn_rad_s",
+    default=0.2,
+    show_default=True,
+    type=FiniteRange(0.01, 1.0),
+    help="Rate of a steering axis, or of the body's turn, in rad/s.",
+)
+@bench_options("calibration", "start_pose", "seed", "faults")
+@JSON
+def command(
+    request: BenchRequest,
+    wheel: str | None,
+    steer: str | None,
+    body: bool,
+    speed_m_s: float,
+    turn_rad_s: float,
+    as_json: bool,
+) -> int:
+    """Move the robot by the keyboard, in real time; it stops when the key is let go.
+
+    A key counts as let go when the terminal has not repeated it for 0.15 s, and is ignored after 10 s until
+    it is let go. Key x ends the session; so does a terminal that is closed. Limits, checks, the recording in
+    out/live and HELD at the end are those of `hil live`.
+
+    Example: hil jog --bench emulated --wheel FL
+    """
+    from hil.live import LivePlan, LiveSession
+    from hil.live.held_keys import CLOSED, LET_GO_S, HeldKeys, key_by_key
+    from hil.live.jog import BodyKeys
+    from hil.support.stop_signals import StopRequest
+
+    if (wheel is not None) + (steer is not None) + body != 1:
+        raise UsageError("hil jog moves one thing", expected="one of --wheel NAME, --steer NAME and --body")
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise UsageError(
+            "hil jog reads keys, and standard input is no terminal",
+            remedy="start it in a terminal; a program sends velocities to `hil live --command stdin`",
+        )
+    terminal = sys.stdin.fileno()
+    source = real_time_source(request)
+    stop = StopRequest()
+    with stop.noted(), closing(source.open()) as opened:
+        opened.warns_not_held = False
+        keys = HeldKeys(terminal, opened.clock.now_ns)
+        if body:
+            lines = BodyKeys(keys, speed_m_s, turn_rad_s)
+            plan = LivePlan(commands=lines, dead_man_s=LET_GO_S, over=lambda: keys.ended)
+        elif wheel is not None:
+            plan = _of_joint(
+                opened, keys, f"drive_{wheel}", speed_m_s / float(opened.geometry.radius_m.max())
+            )
+        else:
+            plan = _of_joint(opened, keys, f"steer_{steer}", turn_rad_s)
+        recorder = open_recorder(opened, dated_recording(), "stop")
+        session = LiveSession(opened, plan, recorder=recorder, stop=stop)
+        with key_by_key(terminal):
+            click.echo(f"hold a key: {_WAYS['body' if body else 'joint']}; x ends", err=True)
+            drive(session, None, as_json=as_json)
+        must_be_held(opened, recorder, stop)
+        if keys.ended == CLOSED:
+            raise Aborted("the terminal was closed")
+    return EXIT_PASS
+
+
+def _of_joint(bench: Bench, keys: HeldKeys, joint: str, rate_rad_s: float) -> LivePlan:
+    """The plan by which the keys move one joint of an open bench."""
+    from hil.live import LivePlan
+    from hil.live.jog import JointJog
+
+    jog = JointJog(joint, keys, rate_rad_s)
+    bench.driven_by = (jog.name, jog)
+    return LivePlan(program=jog, feedback="odometry", over=lambda: keys.ended)

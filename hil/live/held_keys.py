@@ -1,0 +1,91 @@
+"""Keys of a terminal, for as long as they are held.
+
+A terminal reports no release of a key: it repeats a held one, usually 25 times a second or more, after a
+first pause of up to 0.7 s. So a key counts as let go when it has not come for `LET_GO_S`. A held key moves
+the robot for a moment, pauses, and goes on when its repeats begin. One that comes for longer than `LONGEST_S`
+is ignored until it is let go: it may be stuck.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+from hil.core.clock import nanoseconds
+
+LET_GO_S, LONGEST_S = 0.15, 10.0
+END, CLOSED = "x", "terminal closed"
+_ARROWS = {b"\x1b[A": b"w", b"\x1b[B": b"s", b"\x1b[D": b"a", b"\x1b[C": b"d"}
+_CHUNK = 4096
+
+
+@contextmanager
+def key_by_key(descriptor: int) -> Iterator[None]:
+    """Let a terminal pass on each key at once and print none; restores it at the end."""
+    before = termios.tcgetattr(descriptor)
+    tty.setcbreak(descriptor)
+    try:
+        yield
+    finally:
+        with suppress(termios.error):  # the terminal may be gone
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+class HeldKeys:
+    """The key that is held now.
+
+    Args:
+        descriptor: terminal, in the mode of `key_by_key`.
+        now_ns: time of the bench.
+
+    Attributes:
+        ended: why there will be no more keys: `key x`, or `terminal closed`; empty before.
+        stuck: how often a key was held for too long.
+    """
+
+    def __init__(self, descriptor: int, now_ns: Callable[[], int]) -> None:
+        self._descriptor, self._now_ns = descriptor, now_ns
+        self._key, self._since_ns, self._last_ns, self._ignored = "", 0, 0, False
+        self._asked_ns: int | None = None
+        self.ended, self.stuck = "", 0
+
+    def held(self) -> str:
+        """The held key, `w` for the arrow up and so on; empty for none. Never blocks.
+
+        Keys that came before the first call, or while nobody asked for longer than `LET_GO_S`, are dropped.
+        """
+        now_ns, before_ns = self._now_ns(), self._asked_ns
+        self._asked_ns, keys = now_ns, self._arrived()
+        if before_ns is None or now_ns - before_ns > nanoseconds(LET_GO_S):
+            keys = ""
+        if now_ns - self._last_ns > nanoseconds(LET_GO_S):
+            self._key, self._ignored = "", False
+        for key in keys:
+            if key != self._key:
+                self._key, self._since_ns, self._ignored = key, now_ns, False
+            self._last_ns = now_ns
+        if self._key and not self._ignored and now_ns - self._since_ns > nanoseconds(LONGEST_S):
+            self._ignored = True
+            self.stuck += 1
+        return "" if self._ignored or self.ended else self._key
+
+    def _arrived(self) -> str:
+        """All keys since the last call."""
+        if self.ended or not select.select([self._descriptor], [], [], 0.0)[0]:
+            return ""
+        try:
+            data = os.read(self._descriptor, _CHUNK)
+        except OSError:
+            data = b""
+        if not data:
+            self.ended = CLOSED
+        for arrow, key in _ARROWS.items():
+            data = data.replace(arrow, key)
+        keys = data.decode("ascii", "replace").lower()
+        if END in keys:
+            self.ended = f"key {END}"
+        return keys
