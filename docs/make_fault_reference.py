@@ -28,13 +28,14 @@ from hil.faults.fault import (
     Supported,
 )
 from hil.faults.messages import GAP_S, PIECE_BYTES
+from hil.faults.permission import BY_WIRE, LONGEST_TRAVEL_M, ON_A_WALL, SEES_A_SLIDE, SERVOS_ON_A_WALL
 
 PAGE = Path(__file__).with_name("faults.md")
 ROOT = Path(hil.__file__).resolve().parent
 HEAD = """# Faults
 
-Emulated devices can produce faults on request, so that you can test how the bench and your code react. Real
-devices refuse faults. A fault consists of a device, a kind, a time and options:
+Devices can have faults on request, so that you can test how the bench and your code react: emulated devices at
+the chip, [real devices](#real-devices) at the link. A fault consists of a device, a kind, a time and options:
 
 ```
 DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...]
@@ -91,8 +92,53 @@ Only a session of `hil live` that does not drive the robot waits longer: up to 1
 `imu_arm:stuck`.
 
 An unknown device or option, or a fault that a device cannot produce, is refused before anything is opened.
+
+## Real devices
+
+In front of a real device the bench can lose, damage, repeat and delay what the device sends. The same spec, timeline
+and marker are used. Two consents are needed: the bench file says what may ever be injected, the command line that it
+is meant now (`--inject-real` of `hil run` and `hil live`, `--hil-inject-real` of pytest).
+
+```toml
+[faults]
+real = "floor"                       # or "none" (default), "tethered", "wall"
+devices = ["tracker", "imu"]         # no others
+```
+
+{LINKS}
+* **Never towards a device.** Commands are neither altered nor lost. The fan's commands come from a process that has no
+  faults.
+* **On a wall without a tether** ({WALL}): of the servo bus only {SERVOS}, for 1 s at most; none of fan and
+  propellers. At any time one of {SEES} has no fault. A motion leads at most {TRAVEL:g} m away.
+* **A fault ends when the robot is stopped**, whatever stops it, and before HELD is judged. It exists in the bench's own
+  process only.
+* A fault that hits no message is an error of the run or the test. `injected` of `result.json`, and the page, say for
+  each fault whether it was at the chip or at the link, when, and how many messages it hit.
+* Power and content are not of the link: `off`, `brownout`, `reset`, `stuck`, `wrong` and `jump` are refused. `silent`
+  withholds what the device sends. A single servo or encoder has no link of its own.
+
+On a CAN bus with several nodes a fault of one device also hits the frames of the others that its driver receives. A
+PASS with faults at the link says nothing about faults of the power. No real device has been tried.
+
 This page is written by `docs/make_fault_reference.py` from the declarations of the devices.
 """
+LINKS = "\n".join(
+    (
+        "| wire | faults |",
+        "|---|---|",
+        *(
+            f"| {title} | {', '.join(f'`{kind}`' for kind in BY_WIRE[wire])} |"
+            for title, wire in (
+                ("servo bus, BNO055", "bus"),
+                ("other serial lines", "serial"),
+                ("CAN", "can"),
+                ("UDP", "udp"),
+                ("T265", "poses"),
+            )
+        ),
+        "",
+    )
+)
 SHARED = {
     "period_s": f"{PERIOD_S:g}",
     "duty": f"{DUTY:g}",
@@ -110,7 +156,12 @@ _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.
 
 def page() -> str:
     """The whole page."""
-    return "".join((HEAD, *_kinds(), *_options(), *_devices()))
+    head = HEAD.replace("{LINKS}", LINKS)
+    for name, words in (("WALL", ON_A_WALL), ("SERVOS", SERVOS_ON_A_WALL), ("SEES", SEES_A_SLIDE)):
+        order = words if name == "SEES" else sorted(words)
+        head = head.replace(f"{{{name}}}", ", ".join(f"`{word}`" for word in order))
+    head = head.replace("{TRAVEL:g}", f"{LONGEST_TRAVEL_M:g}")
+    return "".join((head, *_kinds(), *_options(), *_devices()))
 
 
 def table() -> str:

@@ -16,6 +16,7 @@ from hil.bench.cross_checks.rest_watch import RestWatch, samples_of
 from hil.bench.doctor.inertial_offsets import InertialWatch
 from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
 from hil.bench.hold.held_devices import HeldDevices
+from hil.bench.injection import Injection
 from hil.bench.loop_settings import real_time
 from hil.bench.model import BenchModel
 from hil.config.estimator import MocapNoise
@@ -85,7 +86,8 @@ class Bench(HeldDevices):
             None without one.
         parameters: what the bench takes for granted, and what measurements say about it.
         lost: errors of devices that ended a run of the bench, as texts.
-        faults: faults planned for its emulated devices.
+        faults: faults planned for its devices.
+        injection: faults in front of its real devices.
         seen: events of warning and above since it was opened.
     """
 
@@ -98,8 +100,9 @@ class Bench(HeldDevices):
         world: World | None = None,
         sinks: tuple[Sink, ...] = (),
         faults: tuple[Fault, ...] = (),
+        injection: Injection | None = None,
     ) -> None:
-        super().__init__(model, clock, rig, sinks=sinks, faults=faults)
+        super().__init__(model, clock, rig, sinks=sinks, faults=faults, injection=injection)
         self.world = world
         self.own_controller: MakeController | None = None
         self.undivided: Callable[[], AbstractContextManager[None]] = nullcontext

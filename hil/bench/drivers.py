@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
@@ -32,6 +32,7 @@ def make_device_set(
     connections: Mapping[str, Connection],
     failures: Mapping[str, HilError] = MappingProxyType({}),
     lost: LostTime | None = None,
+    in_front: Callable[[str, Device], Device] = lambda name, driver: driver,
 ) -> DeviceSet:
     """Make the drivers of all configured devices; they are not opened.
 
@@ -41,6 +42,7 @@ def make_device_set(
         connections: connections to emulated devices, by kind; empty for a bench of hardware.
         failures: errors of emulated devices, by kind; filled when they occur.
         lost: counts the time that this computer takes from the loop; None in virtual time.
+        in_front: puts faults in front of the driver of a real device, by its name.
     """
 
     def driver(name: str, table: DeviceConfig) -> Device:
@@ -53,7 +55,7 @@ def make_device_set(
         device = wrapped_driver(kinds()[name], model, making(make, name), failures, at.timeouts_s())
         return OwnName(device, kind, name)
 
-    made = {name: driver(name, table) for name, table in config.devices().items()}
+    made = {name: in_front(name, driver(name, table)) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}
     moving = [made[name] for name, kind in known.items() if kind.moves_robot and not kind.holds_robot]
     holding = {name: made[name] for name, kind in known.items() if kind.holds_robot}

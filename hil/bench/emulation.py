@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.bench.drivers import model_of
 from hil.bench.further_device_errors import named
+from hil.bench.injection import at_links, check_links, real_device
 from hil.bench.third_party.emulated import parts_of, wrapped_transport
 from hil.bench.true_values import imperfections, true_bench
 from hil.config.bench import BenchConfig
@@ -201,8 +202,16 @@ def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Cal
     return found
 
 
-def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str] = ()) -> Connected:
+def connect_in_process(
+    config: BenchConfig, world: World, *, only: Sequence[str] = (), links: Sequence[Fault] = ()
+) -> Connected:
     """Connect all emulated devices of a bench (or `only` some) in this process, with unique names.
+
+    Args:
+        config: the bench configuration.
+        world: the emulated world.
+        only: names of the devices; empty for all emulated devices.
+        links: faults of real devices, which no emulated device has to produce.
 
     Raises:
         FaultNotSupportedError: no emulated device can produce a planned fault.
@@ -215,7 +224,7 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
                 device = emulated(config, world, kind, f"{kinds()[kind].shown_as}-{number}")
                 connected.connections[kind] = _reached(config, world, kind, "connect", device.connect)
         with _in_key(config, "emulation.faults"):
-            world.faults.check(among=_faults(config, ()))
+            world.faults.check(among=[f for f in _faults(config, ()) if f not in links])
         world.faults.check()
     except HilError:
         connected.close()
@@ -223,18 +232,26 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
     return connected
 
 
-def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, ...]:
-    """Read all faults of a bench; whether its devices support them is checked when these are built.
+def planned_faults(
+    config: BenchConfig, given: Sequence[str | Fault], *, inject_real: bool = False
+) -> tuple[Fault, ...]:
+    """Read all faults of a bench; whether emulated devices support them is checked when these are built.
+
+    Args:
+        config: the bench configuration; its faults come first.
+        given: further specs or paths of TOML timelines.
+        inject_real: whether faults of real devices are injected at their links.
 
     Raises:
         UsageError, ConfigError: a spec or a file that cannot be read.
-        FaultNotSupportedError: every device is real.
+        FaultNotSupportedError: a fault of a real device that may not be injected.
     """
     faults = _faults(config, given)
-    if faults and not config.emulated():
+    check_links(config, at_links(config, faults), consent=inject_real)
+    if faults and not config.emulated() and (unknown := [f for f in faults if not real_device(config, f)]):
         raise FaultNotSupportedError(
-            f"fault {describe(faults[0])}: every device of {config.name} is real",
-            remedy="use --emulate for the devices that faults are meant for",
+            f"fault {describe(unknown[0])}: {config.name} has no such device",
+            expected="one of " + ", ".join(config.devices()),
         )
     return faults
 
@@ -250,9 +267,9 @@ def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, .
 
 
 def check_faults(
-    config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = ()
+    config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = (), inject_real: bool = False
 ) -> tuple[Fault, ...]:
-    """Read the faults of a bench, and refuse those that no emulated device can produce.
+    """Read the faults of a bench, and refuse those that no device can produce.
 
     All emulated devices are built once, so that a wrong `[emulation.KIND]` is reported here. Nothing is
     opened.
@@ -261,6 +278,7 @@ def check_faults(
         config: the bench configuration; its faults come first.
         given: further specs or paths of TOML timelines.
         only: names of the devices that will be emulated; empty for all emulated devices of the bench.
+        inject_real: whether faults of real devices are injected at their links.
 
     Returns:
         All faults.
@@ -269,9 +287,11 @@ def check_faults(
         UsageError, ConfigError: a spec or a file cannot be read, or a device cannot be emulated.
         FaultNotSupportedError: names the fault, the supported ones, and the one probably meant.
     """
-    faults = planned_faults(config, given)
+    faults = planned_faults(config, given, inject_real=inject_real)
     if config.emulated():
-        connect_in_process(config, build_world(config, seed=0, faults=faults), only=only).close()
+        links = at_links(config, faults)
+        chips = tuple(fault for fault in faults if fault not in links)
+        connect_in_process(config, build_world(config, seed=0, faults=chips), only=only, links=links).close()
     return faults
 
 
@@ -283,7 +303,7 @@ def supported_faults(config: BenchConfig) -> dict[str, Supported]:
 
 
 def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[str, ...]:
-    """Specs of the faults whose device is emulated on the bench.
+    """Specs of the faults of a bench whose device it has, emulated or real.
 
     Args:
         config: the bench; the faults that it names come first.
@@ -294,7 +314,7 @@ def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[st
     """
     faults = _faults(config, given)
     known = supported_faults(config) if faults and config.emulated() else {}
-    return tuple(describe(fault) for fault in faults if fault.device in known)
+    return tuple(describe(fault) for fault in faults if fault.device in known or real_device(config, fault))
 
 
 def open_emulation(

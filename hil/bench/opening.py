@@ -17,6 +17,7 @@ from hil.bench.camera_odometry import with_wheel_sigma
 from hil.bench.drivers import make_device_set, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.emulator_process import EmulatorProcess
+from hil.bench.injection import Injection, at_links
 from hil.bench.loop_settings import geometry_of, with_wheel_model
 from hil.bench.model import BenchModel
 from hil.calibration.calibration_file import read_calibration
@@ -47,6 +48,7 @@ def open_bench(
     sinks: tuple[Sink, ...] = (),
     calibration: str | Path | None = None,
     start_pose: Sequence[float] | None = None,
+    inject_real: bool = False,
 ) -> Bench:
     """Make a bench; enter it as a context manager.
 
@@ -56,17 +58,19 @@ def open_bench(
         seed: seed of the emulated world; in virtual time the same seed gives the same run, bit for bit on the
             same arithmetic (`hil info`).
         realtime: True to serve the emulated devices in real time by a separate process.
-        faults: faults of emulated devices: a spec (`imu:stuck@2+3`) or the path of a TOML timeline, or
-            several; added to those of the configuration.
+        faults: a spec (`imu:stuck@2+3`) or the path of a TOML timeline, or several; added to those of the
+            configuration.
         overrides: dotted configuration key -> value.
         sinks: sinks that receive every cycle.
         calibration: `calibration.toml`; overrides the one of the configuration.
         start_pose: pose of the robot, (3,): m, m, rad in the wall frame; overrides `environment.start_pose`.
             An emulated robot is placed there.
+        inject_real: whether faults of real devices are injected at their links; `[faults]` of the bench file
+            must permit it, too.
 
     Raises:
         ConfigError: the configuration or the calibration is wrong.
-        FaultNotSupportedError: no emulated device of the bench can produce a fault.
+        FaultNotSupportedError: no device of the bench can produce a fault, or it may not be injected.
         DeviceError: the emulated devices cannot be served.
         UsageError: `seed` is not an integer >= 0; real devices in a pytest run whose command line does not
             name them.
@@ -80,7 +84,8 @@ def open_bench(
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
     opened_benches.call_guard(config, checked)
     model = _model(with_wheel_sigma(checked), calibration, int(seed))
-    bench = _put_together(model, planned_faults(model.config, faults), sinks, realtime=realtime)
+    planned = planned_faults(model.config, faults, inject_real=inject_real)
+    bench = _put_together(model, planned, sinks, realtime=realtime)
     opened_benches.show(bench)
     return bench
 
@@ -91,8 +96,7 @@ def _put_together(
     """Assemble a bench from a model, with real, served or in-process emulated devices and their clock."""
     config = model.config
     if not config.emulated():
-        clock = MonotonicClock()
-        return Bench(model, clock, make_device_set(config, clock, {}, lost=LostTime()), sinks=sinks)
+        return _real(model, plan, {}, sinks, LostTime())
     if realtime or len(config.emulated()) < len(config.devices()):
         return _at_the_wire(model, plan, sinks)
     world = build_world(config, seed=model.seed, faults=plan)
@@ -121,21 +125,35 @@ def make_bench_model(
 
 def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...]) -> Bench:
     config = model.config
+    links = at_links(config, plan)
+    chips = tuple(fault for fault in plan if fault not in links)
     served = config.model_copy(update={"emulation": config.emulation.model_copy(update={"faults": ()})})
-    if plan:
-        check_faults(served, plan)
+    if chips:
+        check_faults(served, chips)
     try:
-        emulator = EmulatorProcess(served, seed=model.seed, faults=[describe(f) for f in plan])
+        emulator = EmulatorProcess(served, seed=model.seed, faults=[describe(f) for f in chips])
     except DeviceError:
-        check_faults(served, plan)  # an error in a key of the bench file is reported instead
+        check_faults(served, chips)  # an error in a key of the bench file is reported instead
         raise
-    clock = MonotonicClock()
-    reached = _reach(config, emulator.endpoints)
-    rig = make_device_set(config, clock, reached, lost=LostTime(emulator.pid))
-    bench = Bench(model, clock, rig, sinks=sinks, faults=plan)
+    bench = _real(model, plan, _reach(config, emulator.endpoints), sinks, LostTime(emulator.pid))
     bench.on_open(emulator.begin)
     bench.on_close(emulator.close)
     return bench
+
+
+def _real(
+    model: BenchModel,
+    plan: tuple[Fault, ...],
+    connections: Mapping[str, Connection],
+    sinks: tuple[Sink, ...],
+    lost: LostTime,
+) -> Bench:
+    """A bench in real time, with the faults of its real devices in front of their drivers."""
+    clock, config = MonotonicClock(), model.config
+    injection = Injection(config, clock, at_links(config, plan), model.seed)
+    rig = make_device_set(config, clock, connections, lost=lost, in_front=injection.in_front_of)
+    rig.disarm = injection.disarm
+    return Bench(model, clock, rig, sinks=sinks, faults=plan, injection=injection)
 
 
 def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> dict[str, Connection]:

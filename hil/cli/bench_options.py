@@ -54,6 +54,11 @@ _OPTIONS = {
         metavar="SPEC",
         help="Fault, for example imu:stuck@2+3 (repeatable).",
     ),
+    "inject_real": _stated(
+        "--inject-real",
+        is_flag=True,
+        help="Inject faults of real devices at their links, as far as [faults] of the bench file permits.",
+    ),
     "calibration": _stated("--calibration", type=FILE, help="calibration.toml to apply."),
     "controller": _stated(
         "--controller",
@@ -95,6 +100,7 @@ class BenchRequest:
         start_pose: start pose of the robot, as text.
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
+        inject_real: whether faults of real devices are injected at their links.
         calibration: file to apply.
         controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
         ros2: True to publish as ROS 2 topics.
@@ -110,6 +116,7 @@ class BenchRequest:
     start_pose: str | None = None
     realtime: bool = False
     faults: tuple[str, ...] = ()
+    inject_real: bool = False
     calibration: Path | None = None
     controller: str = ""
     ros2: bool = False
@@ -149,6 +156,7 @@ class BenchRequest:
             seed=self.seed,
             realtime=self.realtime,
             faults=self.faults,
+            inject_real=self.inject_real,
             overrides={**overrides, **start_question.start_override(self.start_pose)},
             calibration=self.calibration,
             controller=own,

@@ -95,7 +95,7 @@ if TYPE_CHECKING:
 @click.option(
     "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."
 )
-@bench_options("faults", "ros2", "ros2_domain", "ros2_wait", "ros2_interface")
+@bench_options("faults", "inject_real", "ros2", "ros2_domain", "ros2_wait", "ros2_interface")
 @JSON
 def command(
     request: BenchRequest,

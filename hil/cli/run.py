@@ -69,6 +69,7 @@ class _WithParameters(click.Command):
     "start_pose",
     "realtime",
     "faults",
+    "inject_real",
     "calibration",
     bench={"default": None, "help": "Bench file, or a shipped profile [default: the procedure's, emulated]."},
     faults={

@@ -13,6 +13,7 @@ from hil.config.common_sections import (
     AlignmentConfig,
     EmulationConfig,
     ExitConfig,
+    FaultsConfig,
     LoopConfig,
     RecordConfig,
     SafetyConfig,
@@ -56,6 +57,7 @@ class BenchConfig(Strict):
     safety: SafetyConfig = SafetyConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     emulation: EmulationConfig = EmulationConfig()
+    faults: FaultsConfig = FaultsConfig()
     record: RecordConfig = RecordConfig()
     exit: ExitConfig = ExitConfig()
     robot: RobotConfig = RobotConfig()

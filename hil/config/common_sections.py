@@ -124,6 +124,19 @@ class EmulationConfig(Strict):
     robot: dict[str, Any] = Field(default_factory=dict)
 
 
+class FaultsConfig(Strict):
+    """What may be injected in front of real devices, if the command line asks for it, too.
+
+    Attributes:
+        real: most dangerous place of the robot at which faults may be injected: `none`, `floor`, `tethered`
+            (on a wall, on a tether), `wall` (without one).
+        devices: names of the real devices whose messages may be damaged, delayed or withheld.
+    """
+
+    real: Literal["none", "floor", "tethered", "wall"] = "none"
+    devices: tuple[str, ...] = ()
+
+
 class RecordConfig(Strict):
     """The record of the robot, in which procedures keep what they find out.
 

@@ -136,6 +136,11 @@ class DeviceModel:
         probe_order: models with a smaller number are probed first: those that answer quickly.
         probe_writes: bytes that `probe` writes to the port, in words; empty where it only listens.
         usb: (vendor, product) ids of adapters that are this model; no `probe` writes to such adapters.
+        wire: connection of the real device, which decides the faults that can be injected in front of it:
+            `serial`, `bus` (a serial line on which the device answers only), `can`, `udp`, `poses` of a
+            library, or empty for another one.
+        framing: protocol on a serial wire by its name in `hil.links.framing`; empty where whatever arrives at
+            once is one message.
         not_measured: fields of the kind's sample that this model does not measure: NaN with every status.
         package: name and version of the package that provides it; set when it is loaded.
     """
@@ -150,6 +155,8 @@ class DeviceModel:
     probe_writes: ClassVar[str] = ""
     usb: ClassVar[tuple[tuple[int, int], ...]] = ()
     not_measured: ClassVar[tuple[str, ...]] = ()
+    wire: ClassVar[str] = ""
+    framing: ClassVar[str] = ""
     package: str = "hil"
 
     def make_driver(self, config: Any, clock: Clock, **parts: Any) -> Device:
@@ -166,6 +173,10 @@ class DeviceModel:
     def emulate(self, request: Any) -> Any:
         """Build the emulated device for a `hil.devices.emulated_device.EmulationRequest`; not connected."""
         return import_object(self.chip).build(request)
+
+    def wire_of(self, config: Any) -> str:
+        """Connection of the real device, as `wire`, with this table of the bench file."""
+        return self.wire
 
     def truth_options(self) -> type[Any] | None:
         """Dataclass of `[emulation.KIND]`, the true parameters of the emulated device; None without any."""

@@ -25,6 +25,7 @@ class SerialModel(DeviceModel):
             where discovery skips it.
     """
 
+    wire = "serial"
     probe_bauds: ClassVar[tuple[int, ...]] = ()
 
     def emulate(self, request: Any) -> Any:
@@ -65,6 +66,7 @@ class CanModel(DeviceModel):
         printed: keys of its table that `hil emulate` prints beside bus and bit rate.
     """
 
+    wire = "can"
     subnet: ClassVar[int] = 0
     listens: ClassVar[bool] = False
     printed: ClassVar[tuple[str, ...]] = ()

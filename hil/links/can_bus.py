@@ -17,8 +17,10 @@ import can
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError
+from hil.faults.at_the_link import LinkFaults
 from hil.links.can_arrival_times import ArrivalClock
 from hil.links.can_interface import BusFailedError, OpenBus, open_bus
+from hil.links.injection import FaultyBus, present, with_faults
 
 _MOST_FRAMES = 512
 _WAIT_S, _JOIN_S = 0.05, 0.5
@@ -92,6 +94,7 @@ class CanLink:
         self._arrivals = ArrivalClock()
         self._asked_ns = 0
         self._failing_ns: int | None = None
+        self._faults: LinkFaults | None = None
         self.error, self.error_frames = "", 0
 
     @property
@@ -108,11 +111,16 @@ class CanLink:
         self._read.clear()
         self._said.clear()
         self._meaning = None
-        self._bus = OpenBus(open_bus(self._device, self._config))
+        self._faults = present()
+        self._bus = self._opened()
         if self._clock.wall_offset() is not None:
             name = f"{self._device} on CAN"
             self._reader = threading.Thread(target=self._read_on, name=name, daemon=True)
             self._reader.start()
+
+    def _opened(self) -> OpenBus:
+        bus: OpenBus = with_faults(OpenBus(open_bus(self._device, self._config)), FaultyBus, self._faults)
+        return bus
 
     def close(self) -> None:
         """Close the bus. Idempotent; never raises."""
@@ -198,7 +206,7 @@ class CanLink:
     def _open_again(self, own: threading.Thread) -> None:
         """Open a failed bus again, or wait half a second; a link that was closed meanwhile stays closed."""
         try:
-            bus = OpenBus(open_bus(self._device, self._config))
+            bus = self._opened()
         except DeviceError as error:
             self.error = error.message
             self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(_AGAIN_S))

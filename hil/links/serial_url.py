@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import serial
 
 from hil.core.errors import DeviceError
+from hil.links.injection import FaultyPort, with_faults
 from hil.links.network_ports import RFC2217, SOCKET, open_network_port
 from hil.support.port_users import named, programs_with
 
@@ -204,7 +205,7 @@ def _permission(port: str) -> str:
 def open_serial(
     url: str, *, baud: int, timeout_s: float, write_timeout_s: float, shared: bool = False
 ) -> Any:
-    """Open a port.
+    """Open a port, with the faults that are injected in front of its device.
 
     Args:
         url: device path or any pyserial URL.
@@ -217,9 +218,11 @@ def open_serial(
     Raises:
         serial.SerialException, OSError, ValueError: as pyserial raises them.
     """
-    if url.lower().startswith((RFC2217, SOCKET)):
-        return open_network_port(url, baud=baud, timeout_s=timeout_s, write_timeout_s=write_timeout_s)
     settings: dict[str, Any] = {"baudrate": baud, "timeout": timeout_s, "write_timeout": write_timeout_s}
-    if "://" in url:
-        return serial.serial_for_url(url, **settings)
-    return SharedPort(url, **settings) if shared else LocalPort(url, exclusive=True, **settings)
+    if url.lower().startswith((RFC2217, SOCKET)):
+        port = open_network_port(url, baud=baud, timeout_s=timeout_s, write_timeout_s=write_timeout_s)
+    elif "://" in url:
+        port = serial.serial_for_url(url, **settings)
+    else:
+        port = SharedPort(url, **settings) if shared else LocalPort(url, exclusive=True, **settings)
+    return with_faults(port, FaultyPort)

@@ -193,6 +193,8 @@ class LiveSession:
             "events": bench.seen.rows(),
             "held": bench.held.to_json(),
         }
+        if injected := bench.injection.report():
+            found["injected"] = injected
         if missed := bench.faults_not_begun():
             found["faults_not_begun"] = list(missed)
             found["note"] = bench.not_begun_in_words(missed)

@@ -101,6 +101,9 @@ class ControlLoop:
                 if self.idle is not None:
                     self.idle(deadline_ns)
                 self._rest()
+        except BaseException:
+            self.rig.disarm()
+            raise
         finally:
             with self._undivided():
                 if self.rig.servos is not None:
@@ -195,6 +198,7 @@ class ControlLoop:
 
     def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
         """Stop the robot at once and write a last record with the reason and the checks' figures."""
+        self.rig.disarm()
         with self._undivided():
             if self.rig.servos is not None:
                 self.rig.servos.stop()

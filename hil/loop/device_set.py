@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -28,6 +28,7 @@ class DeviceSet:
     Attributes:
         clock: the bench clock.
         servos: driver of the servos; None where the bench has none.
+        disarm: ends all faults in front of real devices; called first when the robot is stopped.
         sensors: the other devices by kind, in the order in which they are opened and read; devices that hold
             the robot (`DeviceKind.holds_robot`) are among them, and come first.
         lost: counts the time that this computer takes from the loop; None in virtual time.
@@ -37,6 +38,7 @@ class DeviceSet:
     servos: Actuators | None = None
     sensors: Mapping[str, Sensor[Any]] = field(default_factory=dict)
     lost: LostTime | None = None
+    disarm: Callable[[], None] = lambda: None
 
     def get(self, kind: str) -> Any:
         """The device of a kind; None if the bench has none."""

@@ -32,6 +32,7 @@ class BenchSource:
         seed: seed of the emulated world.
         realtime: True to emulate devices at wire level, in real time.
         faults: fault specs.
+        inject_real: whether faults of real devices are injected at their links.
         overrides: dotted key -> value.
         calibration: file to apply.
         controller: the user's own controller for every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or
@@ -46,6 +47,7 @@ class BenchSource:
     seed: int = 0
     realtime: bool = False
     faults: tuple[str, ...] = ()
+    inject_real: bool = False
     overrides: Mapping[str, object] = field(default_factory=dict)
     calibration: Path | None = None
     controller: str = ""
@@ -73,7 +75,7 @@ class BenchSource:
         return tuple(n for n in self.config.devices() if n not in self.config.emulated())
 
     def check_faults(self) -> None:
-        """Check the faults against the emulated devices before anything is opened.
+        """Check the faults against the devices before anything is opened.
 
         Raises:
             UsageError, ConfigError: a device cannot be emulated as configured, or a fault cannot be parsed
@@ -81,10 +83,10 @@ class BenchSource:
         """
         from hil.bench import check_faults
 
-        check_faults(self.config, self.faults)
+        check_faults(self.config, self.faults, inject_real=self.inject_real)
 
     def with_its_faults(self) -> BenchSource:
-        """Return the same bench with only the faults of devices that it emulates.
+        """Return the same bench with only the faults of devices that it has.
 
         For a bench from which devices were removed: `check_faults` would reject their faults.
         """
@@ -103,6 +105,7 @@ class BenchSource:
             seed=self.seed,
             realtime=self.realtime,
             faults=self.faults,
+            inject_real=self.inject_real,
             overrides=self.overrides,
             sinks=(*self.watch, *sinks),
             calibration=self.calibration,

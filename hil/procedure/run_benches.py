@@ -126,6 +126,7 @@ class RunBenches:
         looked_ns: the same for the end of the check of the stopped robot.
         lost: messages about devices that ended runs of the loop.
         granted: parameters of the bench file, and what measurements said about them, by key.
+        injected: faults in front of real devices, with what they have hit (`Injection.report`).
     """
 
     def __init__(
@@ -146,6 +147,7 @@ class RunBenches:
         self.world_ns = self.looked_ns = 0
         self.lost: list[str] = []
         self.granted: dict[str, CrossCheck] = {}
+        self.injected: list[dict[str, object]] = []
 
     @property
     def bench(self) -> Bench:
@@ -215,6 +217,7 @@ class RunBenches:
                 self.granted[row.key] = row
             else:
                 self.granted.setdefault(row.key, row)
+        self.injected += bench.injection.report()
         tethered = bench.config.safety.tethered
         self.left.add(self._bench_name, bench.held, bench.seen.rows(), tethered=tethered)
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from hil.bench.hold.result import untouched
+from hil.bench.injection import nothing_hit
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.core.call_chain import as_json, chain_of, place_of
+from hil.core.clock import NS_PER_S
 from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
+from hil.faults.fault import Fault, describe
 from hil.procedure.context import Context
 from hil.procedure.measurements import Verdict, worst
 from hil.procedure.parameters import as_dict
@@ -55,6 +59,15 @@ def not_held(context: Context, known: Failure | None) -> list[Failure]:
     return []
 
 
+def without_effect(context: Context, known: Failure | None) -> list[Failure]:
+    """Return the error for faults in front of real devices that hit no message, if the run has no other."""
+    begun = [row for row in context.benches.injected if row["begun_s"] is not None]
+    specs = [str(row["fault"]) for row in begun if row["messages"] == 0]
+    if known is not None or not specs:
+        return []
+    return [Failure("FaultWithoutEffect", nothing_hit(specs), "closing the bench", EXIT_USAGE)]
+
+
 def conclude(context: Context, error: Failure | None, late: list[Failure], facts: dict[str, Any]) -> Result:
     """Return the result; its verdict is ABORTED or ERROR after an error, else that of the worst measurement.
 
@@ -90,8 +103,9 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
     proc, benches, past = context.proc, context.benches, context.benches.past
     findings, source = context.findings, context.source
     missed: tuple[str, ...] = ()
+    planned = planned_faults(source.config, source.faults, inject_real=source.inject_real)
     if past is None:  # the world time that an interrupted run reached is not known
-        missed = not_begun(planned_faults(source.config, source.faults), benches.world_ns)
+        missed = not_begun(planned, benches.world_ns)
     reported = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
     known = "" if error is None else error.message
     header = source.header()
@@ -125,11 +139,31 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
         "faults_not_begun": list(missed),
+        "injected": _injected(planned, benches),
         "notes": findings.notes + context.results.set_again() + reported,
         "events": benches.left.events,
         "taken_for_granted": [row.to_json() for row in benches.granted.values()],
         "held": _held(benches),
     }
+
+
+def _injected(planned: Sequence[Fault], benches: RunBenches) -> list[dict[str, object]]:
+    """Return what was injected: at the chip of an emulated device, or at the link of a real one."""
+    rows: list[dict[str, object]] = list(benches.injected)
+    at_links = {row["fault"] for row in benches.injected}
+    at_chips = [fault for fault in planned if describe(fault) not in at_links]
+    end_s = benches.world_ns / NS_PER_S
+    rows += [
+        {
+            "fault": describe(fault),
+            "at": "chip",
+            "begun_s": begun_s if (begun_s := fault.start_ns / NS_PER_S) <= end_s else None,
+            "ended_s": end_s if fault.end_ns is None else min(fault.end_ns / NS_PER_S, end_s),
+            "messages": None,
+        }
+        for fault in at_chips
+    ]
+    return rows
 
 
 def _held(benches: RunBenches) -> dict[str, object]:

@@ -36,7 +36,7 @@ from hil.procedure.run_journal import (
 )
 from hil.procedure.run_options import RunOptions
 from hil.procedure.run_outputs import RunOutputs
-from hil.procedure.run_verdict import conclude, facts_of, failure, not_held
+from hil.procedure.run_verdict import conclude, facts_of, failure, not_held, without_effect
 from hil.procedure.stop_requests import time_limit
 from hil.robot.motion_limits import check
 from hil.support.atomic_files import make_folder, where_else
@@ -91,6 +91,7 @@ def _recorded_run(context: Context) -> Result:
     error, late, statistics = _execute(context)
     wall_s = (clock.now_ns() - begin_ns) / NS_PER_S
     late += not_held(context, error or next(iter(late), None))
+    late += without_effect(context, error or next(iter(late), None))
     kept = _learnt(context, error, late)
     facts = facts_of(context, wall_s, error) | {"loop": statistics, "record": kept}
     result = _kept(conclude(context, error, late, facts))

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 MARKERS = (
     "needs(*devices): skip unless the bench has these kinds of devices, as its bench file names them, for "
     'example needs("servos", "imu")',
-    "fault(device, kind, at=0.0, duration=None, **options): a fault on an emulated device, for example "
-    'fault("imu", "stuck", at=2.0); seconds of bench time. Skipped where the device is real',
+    "fault(device, kind, at=0.0, duration=None, **options): a fault of a device, for example "
+    'fault("imu", "silent", at=2.0); seconds of bench time. Of a real device only with --hil-inject-real',
     "real_only: skip where a device is emulated",
     'controller(name, domain=None): a control law, FILE.py:NAME, MODULE:NAME or "ros2:TOPIC" drives every '
     "trajectory of `bench`; ROS 2 uses this DDS domain, by default that of ROS_DOMAIN_ID",
@@ -67,6 +67,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--hil-seed", metavar="N", type=_seed, default=0, help="seed of every emulated world")
     group.addoption("--hil-realtime", action="store_true", help="emulated devices at the wire, in real time")
+    group.addoption(
+        "--hil-inject-real",
+        action="store_true",
+        help="inject faults of real devices at their links, as far as [faults] of the bench file permits",
+    )
     group.addoption(
         "--hil-keep",
         metavar="FOLDER",

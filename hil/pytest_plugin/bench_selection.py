@@ -38,6 +38,7 @@ def source_of(config: pytest.Config) -> BenchSource:
             emulate=config.getoption("emulate") if given else "all",
             seed=config.getoption("hil_seed"),
             realtime=config.getoption("hil_realtime"),
+            inject_real=config.getoption("hil_inject_real"),
         )
     return found
 
@@ -201,8 +202,8 @@ def _impossible(item: pytest.Item, source: BenchSource) -> str:
         message = f"fault {fault.device}:{fault.kind}: "
         if device in kinds() and device not in devices:
             return f"{message}bench {config.name} lacks {device}"
-        if device in source.real or not emulated:
-            return f"{message}{device} of bench {config.name} is real"
+        if (device in source.real or not emulated) and not source.inject_real:
+            return f"{message}{device} of bench {config.name} is real (--hil-inject-real injects it)"
     return ""
 
 
@@ -227,8 +228,9 @@ def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
     for option, name in (("--bench", "bench"), ("--emulate", "emulate")):
         if given := config.getoption(name):
             options.append(f"{option}={given}")
-    if config.getoption("hil_realtime"):
-        options.append("--hil-realtime")
+    for option, name in (("--hil-realtime", "hil_realtime"), ("--hil-inject-real", "hil_inject_real")):
+        if config.getoption(name):
+            options.append(option)
     for given in config.getoption("override_ini") or ():
         if given.partition("=")[0].strip() == "hil_bench":
             options += ["-o", given]

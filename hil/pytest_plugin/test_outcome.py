@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hil.bench.injection import nothing_hit
 from hil.core.errors import UsageError
 from hil.pytest_plugin import NOT_HELD, NotHeldWarning
 from hil.pytest_plugin.bench_selection import faults_of, source_of
@@ -60,6 +61,8 @@ def _not_held(item: pytest.Item, bench: Bench) -> list[str]:
 def _vacuous(item: pytest.Item, bench: Bench) -> list[str]:
     own = faults_of(item)
     missed = [spec for spec in bench.faults_not_begun() if spec in own]
+    if idle := [spec for spec in bench.faults_without_effect() if spec in own]:
+        return [f"the test has passed without what it is about: {nothing_hit(idle)}"]
     if not missed:
         return []
     error = UsageError(

@@ -113,6 +113,14 @@ class _Granted(_Part):
     difference: _Number = None
 
 
+class _Injected(_Part):
+    fault: str
+    at: Literal["chip", "link"]
+    begun_s: float | None
+    ended_s: float
+    messages: int | None
+
+
 class _Result(_Part):
     schema_version: Literal[1] = Field(alias="schema")
     procedure: str
@@ -130,6 +138,7 @@ class _Result(_Part):
     seed: int | None = None
     faults: list[str] = []
     faults_not_begun: list[str] = []
+    injected: list[_Injected] = []
     parameters: dict[str, Any] = {}
     config: dict[str, Any] = {}
     calibration: _Calibration | None = None

@@ -78,7 +78,7 @@ def test_true_imperfections_come_from_the_configuration(first):
 
 
 def test_faults_need_an_emulated_device_that_can_produce_them():
-    with pytest.raises(FaultNotSupportedError, match="every device of sensors is real"):
+    with pytest.raises(FaultNotSupportedError, match="imu of sensors is real"):
         hil.open_bench("sensors", faults=("imu:stuck",))
     with pytest.raises(FaultNotSupportedError, match="imu cannot produce"):
         hil.open_bench("emulated", faults=("imu:bus_off",))

@@ -124,6 +124,7 @@ def test_a_lost_robot_is_an_error_where_it_matters(monkeypatch, real, wire, faul
         held=Held("NOT HELD", None, "it fell"),
         faults=faults,
         faults_not_begun=tuple,
+        faults_without_effect=tuple,
         world=None if wire else SimpleNamespace(faults=SimpleNamespace(touched=bool(faults))),
     )
     if raised:
@@ -139,7 +140,9 @@ def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
     tested = item([], real=("servos",))
     monkeypatch.setattr(test_outcome, "source_of", lambda _: tested.source)
     held = Held("NOT HELD", None, "torque was released, as exit.policy asks", wanted=False)
-    test_outcome.end(tested, SimpleNamespace(held=held, faults_not_begun=tuple), passed=True)
+    test_outcome.end(
+        tested, SimpleNamespace(held=held, faults_not_begun=tuple, faults_without_effect=tuple), passed=True
+    )
     assert tested.user_properties == [("held", "NOT HELD")]
 
 

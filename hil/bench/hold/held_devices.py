@@ -14,6 +14,7 @@ from hil.bench.hold.force_controller import by_need
 from hil.bench.hold.monitor import HoldMonitor
 from hil.bench.hold.preload import Preload
 from hil.bench.hold.result import Held, untouched
+from hil.bench.injection import Injection
 from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.model import BenchModel
 from hil.bench.reconnect import reconnecting
@@ -44,6 +45,7 @@ class HeldDevices:
         *,
         sinks: tuple[Sink, ...],
         faults: tuple[Fault, ...],
+        injection: Injection | None = None,
     ) -> None:
         self.model, self.clock, self.rig = model, clock, rig
         self.config, self.geometry = model.config, model.geometry
@@ -54,6 +56,8 @@ class HeldDevices:
         self.waits_for_sensors = False
         self.lost: list[str] = []
         self.faults = faults
+        self.injection = Injection(self.config, clock) if injection is None else injection
+        self.injection.follow(lambda: self.world_ns)
         self._is_open = False
         self._begun_ns: int | None = None
         self._clock_description: dict[str, object] | None = None
@@ -101,6 +105,7 @@ class HeldDevices:
         """
         if self._closed_ns is None:
             self._closed_ns = self.clock.now_ns()
+        self.injection.disarm()
         try:
             if self.rig.servos is not None and self.rig.servos.identity():
                 self.held = self._hold.unseen("ended before the hold was checked")
@@ -160,6 +165,10 @@ class HeldDevices:
             return 0
         return (self.clock.now_ns() if t_ns is None else t_ns) - self._begun_ns
 
+    def faults_without_effect(self) -> tuple[str, ...]:
+        """Specs of the faults in front of real devices that have begun and hit no message."""
+        return self.injection.without_effect()
+
     def faults_not_begun(self) -> tuple[str, ...]:
         """Specs of the planned faults that had not begun when the bench was closed."""
         return not_begun(self.faults, self.world_ns)
@@ -195,9 +204,11 @@ class HeldDevices:
 
         Raises:
             TrajectoryError: the trajectory exceeds a limit; names the first time at which it does.
-            UsageError: `trajectory` is not a trajectory.
+            UsageError: `trajectory` is not a trajectory, or leads a robot on a wall too far for a fault that
+                is injected in front of one of its devices.
         """
         self.model.check(trajectory, known=known)
+        self.injection.check(trajectory)
 
     def header(self) -> dict[str, object]:
         """Header of the model, and the offset of the clock to the time of day at the first call.
@@ -240,6 +251,7 @@ class HeldDevices:
         """
         if limit_s is not None:
             check_number(limit_s, "limit_s", "s")
+        self.injection.disarm()
         self.held = self._hold.look(_LOOK_S if limit_s is None else limit_s, strict=limit_s is not None)
         return self.held
 

@@ -55,7 +55,7 @@ class Bno055(SerialModel):
     """The Bosch BNO055 IMU on a serial port."""
 
     kind, name, title = "imu", "bno055", "BNO055 on its UART"
-    config = Bno055Config
+    config, wire, framing = Bno055Config, "bus", "bno055"
     driver, chip = "hil.drivers.imu:Bno055Imu", "hil.fakes.imu:Bno055Chip"
     probe_order, probe_bauds = 1, (115_200,)
     probe_writes = "a request for the identity of a BNO055, at 115200 baud"

@@ -33,7 +33,7 @@ class Hx711Line(SerialModel):
     """Load cells whose counts come as lines of text."""
 
     kind, name, title = "load_cells", "hx711_line", "two load cells on a serial line"
-    config = LineCellsConfig
+    config, framing = LineCellsConfig, "line"
     driver, chip = "hil.drivers.load_cells:LineCells", "hil.fakes.load_cells:CellLine"
 
 

@@ -31,7 +31,7 @@ class NatNet(DeviceModel):
     """OptiTrack Motive, reached by UDP at several ports; in one process the emulator passes datagrams."""
 
     kind, name, title = "mocap", "natnet", "OptiTrack Motive over NatNet"
-    config = MocapConfig
+    config, wire = MocapConfig, "udp"
     driver, chip = "hil.drivers.mocap:NatNetMocap", "hil.fakes.mocap:NatNetServer"
 
     def emulate(self, request: Any) -> Any:

@@ -36,6 +36,7 @@ class Dynamixel(SerialModel):
 
     kind, name, title = "servos", "dynamixel", "Dynamixel X servos on RS-485 or TTL"
     config, probe_order = ServosConfig, 9
+    wire, framing = "bus", "dynamixel"
     driver, chip = "hil.drivers.servos:DynamixelServos", "hil.fakes.servos:ServoBus"
     probe_writes = "a ping of all Dynamixel servos, at each of their baud rates"
 

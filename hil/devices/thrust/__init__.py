@@ -31,7 +31,7 @@ class Teensy(SerialModel):
     """Propellers on a Teensy, which takes lines and sends pulses to their motor controllers."""
 
     kind, name, title = "thrust", "teensy", "propellers on a Teensy"
-    config = TeensyConfig
+    config, wire = TeensyConfig, ""  # it sends nothing
     driver, chip = "hil.drivers.thrust:TeensyThrust", "hil.fakes.thrust:TeensyChip"
     usb = tuple((_PJRC, product) for product in _PRODUCTS)
 

@@ -21,7 +21,7 @@ class T265(DeviceModel):
     """The T265, reached through its maker's library; the emulated camera replaces the library's pipeline."""
 
     kind, name, title = "tracker", "t265", "Intel RealSense T265 on USB"
-    config = T265Config
+    config, wire = T265Config, "poses"
     driver, chip = "hil.drivers.tracker:T265Tracker", "hil.fakes.tracker:T265"
 
     def emulate(self, request: Any) -> Any:

@@ -23,6 +23,7 @@ from hil.drivers.mocap.natnet_packets import (
 )
 from hil.drivers.mocap.payload_reader import Cursor
 from hil.drivers.mocap.udp_ports import Address, Datagram, DatagramFactory, DatagramPort
+from hil.links.injection import FaultyDatagrams, with_faults
 
 _RIGID_BODY = 1
 _PLACE = struct.Struct("<ii3f")
@@ -141,7 +142,7 @@ class Session:
         self._alive_ns, self._keepalive_ns = clock.now_ns(), nanoseconds(config.keepalive_s)
         self._ports: list[DatagramPort] = []
         try:
-            self._ports.append(datagrams(None, 0))
+            self._ports.append(with_faults(datagrams(None, 0), FaultyDatagrams))
             self._open_data_port(datagrams)
         except BaseException:
             self.close()
@@ -151,7 +152,7 @@ class Session:
         """Multicast comes to the data port; unicast comes there too from some servers, if it is free."""
         group = self._config.multicast
         try:
-            self._ports.append(datagrams(group, self._config.data_port))
+            self._ports.append(with_faults(datagrams(group, self._config.data_port), FaultyDatagrams))
         except OSError:
             if group is not None:
                 raise

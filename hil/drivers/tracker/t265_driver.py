@@ -35,6 +35,7 @@ from hil.drivers.tracker.librealsense_interface import (
 )
 from hil.drivers.tracker.t265_settings import WheelVelocities, apply_settings
 from hil.links.device_clock import DeviceClock
+from hil.links.injection import faulty_callback, with_faults
 from hil.links.pose_jumps import JumpTest
 from hil.links.silence_limit import USELESS, SilenceTimer, nothing_usable, used_while_closed
 from hil.links.stuck_values import StuckTest
@@ -203,7 +204,7 @@ class T265Tracker(Sensor[TrackerSample]):
             there = request.resolve(pipeline).get_device()
             in_real_time = self._clock.wall_offset() is not None
             self._wheels = apply_settings(there, library, self._config, self.name, beside=in_real_time)
-            device = pipeline.start(request, self._take).get_device()
+            device = pipeline.start(request, with_faults(self._take, faulty_callback)).get_device()
             found = identity_of(device, library, self.name)
         except DeviceError:
             raise

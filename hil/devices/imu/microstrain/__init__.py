@@ -85,7 +85,7 @@ class MicroStrain(SerialModel):
     """The MicroStrain 3DM-CV7 or 3DM-GV7 IMU."""
 
     kind, name, title = "imu", "microstrain", "MicroStrain 3DM-CV7 or 3DM-GV7 on a serial port"
-    config = MicrostrainConfig
+    config, framing = MicrostrainConfig, "mip"
     driver, chip = f"{_HERE}.driver:MicrostrainImu", f"{_HERE}.emulated_chip:MicrostrainChip"
     probe_order, probe_bauds = 2, (115_200, 921_600)  # as delivered, and as fast as it can be set
     probe_writes = "a request for the identity of a MicroStrain sensor, at 115200 and 921600 baud"

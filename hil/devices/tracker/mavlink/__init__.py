@@ -29,8 +29,12 @@ class Mavlink(DeviceModel):
     """A visual-inertial computer, reached by UDP or at a serial port by the address in its table."""
 
     kind, name, title = "tracker", "mavlink", "visual-inertial computer that sends MAVLink odometry"
-    config, probe_order = MavlinkTrackerConfig, 9
+    config, probe_order, framing = MavlinkTrackerConfig, 9, "mavlink"
     driver, chip = f"{_HERE}.driver:MavlinkTracker", f"{_HERE}.emulated_computer:VisualInertialComputer"
+
+    def wire_of(self, config: MavlinkTrackerConfig) -> str:
+        """`udp` or `serial`, by the address."""
+        return "serial" if udp_address(config.port) is None else "udp"
 
     def emulate(self, request: EmulationRequest) -> Any:
         """Emulate the computer at the address of the table."""

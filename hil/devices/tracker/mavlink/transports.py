@@ -13,6 +13,7 @@ from hil.core.errors import DeviceError, reason_of
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig, UdpAddress, udp_address
 from hil.devices.tracker.mavlink.transport_interface import Address, Arrival, Link
 from hil.drivers.mocap.udp_ports import UdpPort
+from hil.links.injection import FaultyDatagrams, with_faults
 from hil.links.serial_url import PORT_ERRORS, cannot_open, open_serial
 
 _LOOK_NS = 1_000_000
@@ -40,9 +41,10 @@ class UdpLink(Link):
         try:
             if address.role == "udpout":
                 self.peer = (socket.gethostbyname(address.host), address.port)
-                self._port = UdpPort(clock, None, 0)
+                port = UdpPort(clock, None, 0)
             else:
-                self._port = UdpPort(clock, None, address.port, address.host)
+                port = UdpPort(clock, None, address.port, address.host)
+            self._port: UdpPort = with_faults(port, FaultyDatagrams)
         except OSError as error:
             raise DeviceError(
                 device,

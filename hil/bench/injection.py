@@ -1,0 +1,214 @@
+"""Faults in front of the real devices of a bench: which are injected, when, and what they have hit."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.bench.drivers import model_of
+from hil.config.bench import BenchConfig
+from hil.core.clock import NS_PER_S, Clock
+from hil.core.errors import FaultNotSupportedError, UsageError
+from hil.core.interfaces import Device
+from hil.fakes.world import random_stream
+from hil.faults import permission
+from hil.faults.at_the_link import LinkFaults
+from hil.faults.fault import Fault, describe
+from hil.faults.plan import FaultPlan
+from hil.links.injection import in_front_of
+from hil.robot.trajectories import Trajectory
+
+_TIMES = 200
+_PART_OF = {"servo": "servos", "encoder": "encoders"}
+
+
+def real_device(config: BenchConfig, fault: Fault) -> str:
+    """Name of the real device of a fault; empty where the device is emulated or the bench has none."""
+    first = fault.device.partition(".")[0]
+    name = fault.device if fault.device in config.devices() else _PART_OF.get(first, first)
+    return name if name in config.devices() and name not in config.emulated() else ""
+
+
+def at_links(config: BenchConfig, faults: Sequence[Fault]) -> tuple[Fault, ...]:
+    """Those faults of a bench whose device is real."""
+    return tuple(fault for fault in faults if real_device(config, fault))
+
+
+def check_links(config: BenchConfig, faults: Sequence[Fault], *, consent: bool) -> None:
+    """Refuse faults of real devices that must not be injected; nothing is opened.
+
+    Args:
+        config: the bench configuration.
+        faults: faults whose device is real.
+        consent: whether the command line asks for faults of real devices.
+
+    Raises:
+        FaultNotSupportedError: names the first fault and the reason.
+    """
+    if not faults:
+        return
+    first = faults[0]
+    if not consent:
+        raise FaultNotSupportedError(
+            f"fault {describe(first)}: {real_device(config, first)} of {config.name} is real",
+            expected="faults of emulated devices",
+            remedy="--inject-real (pytest: --hil-inject-real) injects it at the link, where [faults] of the "
+            "bench file permits it; --emulate injects it at an emulated device",
+        )
+    for fault in faults:
+        if fault.device != (whole := real_device(config, fault)):
+            raise FaultNotSupportedError(
+                f"fault {describe(fault)}: at a link all of {whole} has a fault, not a part of it",
+                expected=f"{whole}:{fault.kind}",
+            )
+    real = {name: table for name, table in config.devices().items() if name not in config.emulated()}
+    others = config.elsewhere()
+    permission.check(
+        faults,
+        bench=config.name,
+        wires={name: model_of(config, name).wire_of(table) for name, table in real.items()},
+        seeing=[n for n in permission.SEES_A_SLIDE if n in config.devices() and n not in others],
+        named=config.faults.devices,
+        most=config.faults.real,
+        present=permission.situation(on_wall=config.environment.on_wall, tethered=config.safety.tethered),
+    )
+
+
+class Injection:
+    """Faults in front of the real devices of one bench; without faults it does nothing.
+
+    Args:
+        config: the bench configuration.
+        clock: clock of the bench.
+        faults: faults of real devices, already checked.
+        seed: seed of the draws.
+    """
+
+    def __init__(
+        self, config: BenchConfig, clock: Clock, faults: Sequence[Fault] = (), seed: int = 0
+    ) -> None:
+        self._clock, self._config, self._faults, self._seed = clock, config, tuple(faults), seed
+        self._plan = FaultPlan(faults)
+        self._links: list[LinkFaults] = []
+        self._world_ns: Callable[[], int] = lambda: 0
+        self._ended_ns: int | None = None
+
+    def follow(self, world_ns: Callable[[], int]) -> None:
+        """Take the time since the bench was opened, ns, from this function."""
+        self._world_ns = world_ns
+
+    def in_front_of(self, name: str, driver: Device) -> Device:
+        """Return the driver of a real device, with its faults if it has any."""
+        own = [fault for fault in self._faults if fault.device == name]
+        if not own:
+            return driver
+        model = model_of(self._config, name)
+        wire = model.wire_of(self._config.devices()[name])
+        rng = random_stream(self._seed, f"link of {name}")
+        kinds = tuple(permission.BY_WIRE[wire])
+        link = LinkFaults(self._plan, name, rng, kinds, self._clock, self._since_opened_ns, model.framing)
+        self._links.append(link)
+        return FaultyDevice(driver, link)
+
+    def _since_opened_ns(self) -> int:
+        return self._world_ns()
+
+    def disarm(self) -> None:
+        """End all faults: from now on the robot is judged by what its devices send. Idempotent."""
+        if self._ended_ns is None and self._faults:
+            self._ended_ns = self._world_ns()
+            self._plan.clear()
+
+    def check(self, trajectory: Trajectory) -> None:
+        """Refuse a trajectory that leads a robot on a wall, without a tether, too far with these faults.
+
+        Raises:
+            UsageError: names the distance and the limit.
+        """
+        if not self._faults or not self._config.environment.on_wall or self._config.safety.tethered:
+            return
+        times = np.linspace(0.0, trajectory.duration_s, _TIMES)
+        places = trajectory.sample_many(times)[0][:, :2]
+        travel_m = float(np.linalg.norm(places - places[0], axis=1).max())
+        if travel_m > permission.LONGEST_TRAVEL_M:
+            raise UsageError(
+                f"the trajectory leads {travel_m:.2f} m away, with faults in front of real devices on a wall",
+                expected=f"at most {permission.LONGEST_TRAVEL_M:g} m",
+                remedy="drive a shorter motion, or put the robot on a tether",
+            )
+
+    def report(self) -> list[dict[str, object]]:
+        """Each fault with begin and end, s since the bench was opened, and number of messages that it hit."""
+        hit = {spec: count for link in self._links for spec, count in link.hit.items()}
+        end_ns = self._world_ns() if self._ended_ns is None else self._ended_ns
+        return [
+            {
+                "fault": describe(fault),
+                "at": "link",
+                "begun_s": fault.start_ns / NS_PER_S if fault.start_ns <= end_ns else None,
+                "ended_s": min(fault.end_ns or end_ns, end_ns) / NS_PER_S,
+                "messages": hit.get(describe(fault), 0),
+            }
+            for fault in self._faults
+        ]
+
+    def without_effect(self) -> tuple[str, ...]:
+        """Specs of the faults that have begun and hit no message."""
+        return tuple(
+            str(row["fault"]) for row in self.report() if row["begun_s"] is not None and not row["messages"]
+        )
+
+
+class FaultyDevice(Device):
+    """A driver of a real device whose link has faults: they are present wherever it opens something.
+
+    Args:
+        driver: driver of the device.
+        faults: faults of the device.
+    """
+
+    def __init__(self, driver: Device, faults: LinkFaults) -> None:
+        self._driver, self._faults, self.name = driver, faults, driver.name
+
+    def open(self) -> None:
+        """Open the driver."""
+        with in_front_of(self._faults):
+            self._driver.open()
+
+    def close(self) -> None:
+        """Close the driver."""
+        self._driver.close()
+
+    def identity(self) -> Mapping[str, str]:
+        """Identity of the device."""
+        return self._driver.identity()
+
+    def read(self) -> Any:
+        """Samples of the driver."""
+        driver: Any = self._driver
+        return driver.read()
+
+    def __getattr__(self, name: str) -> Any:
+        """Give all other attributes of the driver; what its functions open has the faults, too."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        found = getattr(self._driver, name)
+        if not callable(found):
+            return found
+
+        @functools.wraps(found)
+        def call(*given: Any, **more: Any) -> Any:
+            with in_front_of(self._faults):
+                return found(*given, **more)
+
+        return call
+
+
+def nothing_hit(specs: Sequence[str]) -> str:
+    """One line for the user about faults that have hit no message; empty for none."""
+    if not specs:
+        return ""
+    return f"fault {', '.join(specs)} has hit no message of its device: nothing that was done has met it"

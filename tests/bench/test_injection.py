@@ -1,0 +1,108 @@
+"""A bench with faults in front of its devices: a stop ends them, HELD is judged without them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import hil
+from hil.bench.bench import Bench
+from hil.bench.drivers import make_device_set, model_of
+from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.injection import Injection
+from hil.bench.opening import make_bench_model
+from hil.config.loading import load_bench
+from hil.core.device import Connection
+from hil.core.errors import FaultNotSupportedError, SafetyStop, UsageError
+from hil.core.registry import kinds
+from hil.fakes.world import VirtualClock
+from hil.faults.fault import parse_fault
+from hil.robot.trajectories import line
+
+
+def bench_with(spec: str, profile: str = "emulated") -> Bench:
+    """A bench in virtual time whose emulated devices have a fault at their links, as real ones do."""
+    model = make_bench_model(profile)
+    world = build_world(model.config, seed=2)
+    connected = connect_in_process(model.config, world)
+    clock = VirtualClock(world)
+    injection = Injection(model.config, clock, [parse_fault(spec)])
+    rig = make_device_set(
+        model.config, clock, connected.connections, world.failures, in_front=injection.in_front_of
+    )
+    rig.disarm = injection.disarm
+    bench = Bench(model, clock, rig, world=world, faults=(parse_fault(spec),), injection=injection)
+    bench.on_close(connected.close)
+    return bench
+
+
+def test_a_stop_ends_the_faults_before_the_robot_is_judged():
+    with bench_with("servos:silent@3") as bench:
+        with pytest.raises(SafetyStop, match="stale_servos"):
+            bench.drive(line((0, 0, 0), (0.2, 0, 0), duration_s=6.0), feedback="ekf")
+        assert len(bench.rig.get("servos").read()) == 1  # the link is whole again
+    assert bench.held.state == "HELD"
+    (row,) = bench.injection.report()
+    assert (row["at"], row["begun_s"]) == ("link", 3.0)
+    assert 3.05 < row["ended_s"] < 3.3
+    assert row["messages"] > 0
+
+
+def test_a_fault_that_has_hit_nothing_is_named_and_one_that_has_is_not():
+    with bench_with("tracker:silent@1+1") as bench:
+        bench.observe(2.5)
+    assert bench.faults_without_effect() == ()
+    with bench_with("tracker:drop@1+0.5,probability=1e-6") as bench:
+        bench.observe(2.5)
+    assert bench.faults_without_effect() == ("tracker:drop@1+0.5,probability=1e-06",)
+
+
+def test_with_faults_a_robot_on_a_wall_is_not_led_far():
+    with bench_with("imu:drop@3") as bench:
+        bench.check(line((0, 0, 0), (0.29, 0, 0), duration_s=9.0))
+        with pytest.raises(UsageError, match=r"0\.31 m away"):
+            bench.check(line((0, 0, 0), (0.31, 0, 0), duration_s=9.0))
+
+
+REAL = {"imu.backend": "real", "imu.port": "/dev/no-such-port"}
+
+
+@pytest.mark.opens_stand_ins
+def test_both_consents_are_needed_before_anything_is_opened():
+    permitted = {"faults.real": "wall", "faults.devices": ["imu"]}
+    fault = ("imu:silent@2",)
+    with pytest.raises(FaultNotSupportedError, match="--inject-real"):
+        hil.open_bench("emulated", overrides={**REAL, **permitted}, faults=fault)
+    with pytest.raises(FaultNotSupportedError, match="permits faults of real devices nowhere"):
+        hil.open_bench("emulated", overrides=REAL, faults=fault, inject_real=True)
+    hil.open_bench("emulated", overrides={**REAL, **permitted}, faults=fault, inject_real=True).close()
+
+
+@pytest.mark.opens_stand_ins
+@pytest.mark.real_time
+def test_served_devices_that_count_as_real_have_faults_at_their_links():
+    served = [sys.executable, "-m", "hil.cli", "emulate", "--bench", "emulated_floor", "--only", "imu,mocap"]
+    child = subprocess.Popen(served, stdout=subprocess.PIPE, text=True)
+    try:
+        ends, config = json.loads(child.stdout.readline()), load_bench("emulated_floor")
+        overrides = {"faults.real": "floor", "faults.devices": ["imu", "mocap"]}
+        for name in ("imu", "mocap"):
+            reached = model_of(config, name).connection(ends[kinds()[name].shown_as])
+            values = reached.values if isinstance(reached, Connection) else reached
+            overrides |= {f"{name}.backend": "real", **{f"{name}.{k}": v for k, v in values.items()}}
+        for name in ("servos", "encoders", "tracker", "adhesion", "load_cells", "thrust"):
+            if name in config.devices():
+                overrides[name] = None
+        faults = ("imu:silent@8+0.5", "mocap:drop@8+1,probability=0.5")
+        with hil.open_bench("emulated_floor", overrides=overrides, faults=faults, inject_real=True) as bench:
+            while bench.world_ns < 10_000_000_000:
+                bench.rig.read(0)
+                bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+    finally:
+        child.terminate()
+        child.communicate(timeout=20)
+    assert bench.faults_without_effect() == ()
+    assert [row["ended_s"] for row in bench.injection.report()] == [8.5, 9.0]

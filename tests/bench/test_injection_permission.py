@@ -1,0 +1,111 @@
+"""What may be injected in front of real devices, and where: refused before anything is opened."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.core.errors import FaultNotSupportedError
+from hil.faults.fault import parse_fault
+from hil.faults.permission import check
+
+WIRES = {
+    "servos": "bus",
+    "imu": "bus",
+    "encoders": "can",
+    "tracker": "poses",
+    "mocap": "udp",
+    "adhesion": "can",
+    "thrust": "",
+    "load_cells": "can",
+}
+
+
+def refused(
+    *specs: str, present: str = "wall", most: str = "wall", named: tuple[str, ...] = tuple(WIRES)
+) -> str:
+    """Why faults are refused; empty where they are not."""
+    try:
+        check(
+            [parse_fault(one) for one in specs],
+            bench="lab",
+            wires=WIRES,
+            seeing=("tracker", "mocap", "load_cells"),
+            named=named,
+            most=most,
+            present=present,
+        )
+    except FaultNotSupportedError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("present", "most", "allowed"),
+    [
+        ("floor", "none", False),
+        ("floor", "floor", True),
+        ("tethered", "floor", False),
+        ("tethered", "tethered", True),
+        ("wall", "tethered", False),
+        ("wall", "wall", True),
+    ],
+)
+def test_the_bench_file_says_how_far_it_goes(present, most, allowed):
+    assert (not refused("imu:drop@2", present=present, most=most)) is allowed
+
+
+def test_a_device_that_the_bench_file_does_not_name_has_no_faults():
+    assert "not in [faults] devices" in refused("imu:drop@2", present="floor", named=("tracker",))
+
+
+@pytest.mark.parametrize("kind", ["off", "brownout", "reset"])
+def test_faults_of_the_power_are_refused_with_the_remedy(kind):
+    assert "silent" in refused(f"imu:{kind}@2", present="floor")
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "servos:stuck@2",
+        "imu:wrong@2",
+        "tracker:jump@2",
+        "encoders:bus_off@2",
+        "servos:silent@2,direction=both",
+    ],
+)
+def test_what_a_link_cannot_do_or_would_do_to_the_device_is_refused(spec):
+    assert refused(spec, present="floor")
+
+
+def test_a_delay_from_the_start_cannot_be_told_from_the_interface():
+    assert refused("mocap:delayed@0", present="floor")
+    assert not refused("mocap:delayed@1", present="floor")
+
+
+@pytest.mark.parametrize(
+    "spec", ["adhesion:drop@2+1", "thrust:drop@2+1", "servos:garbage@2+0.5", "imu:garbage@2"]
+)
+def test_on_a_wall_nothing_that_holds_and_no_random_content(spec):
+    assert refused(spec)
+
+
+@pytest.mark.parametrize(
+    ("spec", "allowed"),
+    [("servos:silent@2+1", True), ("servos:silent@2+1.1", False), ("servos:drop@2", False)],
+)
+def test_on_a_wall_the_servos_answer_again_within_a_second(spec, allowed):
+    assert (not refused(spec)) is allowed
+
+
+@pytest.mark.parametrize(
+    ("specs", "allowed"),
+    [
+        (("tracker:silent@2+2", "mocap:silent@3+2"), True),
+        (("tracker:silent@2+2", "mocap:silent@3+2", "load_cells:silent@3.5+1"), False),
+        (("tracker:silent@2+2", "mocap:silent@3+2", "load_cells:silent@4.5+1"), True),
+        (("tracker:silent@2", "mocap:silent@3", "load_cells:silent@9"), False),
+    ],
+)
+def test_on_a_wall_one_sensor_that_sees_a_slide_has_no_fault_at_any_time(specs, allowed):
+    assert (not refused(*specs)) is allowed
+    assert not refused(*specs, present="tethered")

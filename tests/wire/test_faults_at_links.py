@@ -1,0 +1,197 @@
+"""Faults in front of real devices act as those at the chips; what is sent to a device is never altered."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from hil.bench.drivers import make_device_set, model_of
+from hil.bench.emulation import build_world, connect_in_process, supported_faults
+from hil.bench.injection import Injection
+from hil.bench.opening import make_bench_model
+from hil.core.errors import HilError
+from hil.devices.imu.microstrain.mip_packets import Field, encode
+from hil.fakes.world import VirtualClock
+from hil.faults import permission
+from hil.faults.at_the_link import LinkFaults
+from hil.faults.fault import parse_fault
+from hil.faults.plan import FaultPlan
+from hil.links.framing import FRAMINGS, messages
+from hil.links.injection import FaultyPort
+
+PROFILE, SECONDS = "emulated_floor", 6.0
+
+
+def shares(spec: str, *, link: bool, seed: int = 3) -> tuple[dict[str, float], list[dict[str, object]]]:
+    """Share of each sample status per cycle of 10 ms, and what was injected."""
+    config = make_bench_model(PROFILE).config
+    fault = parse_fault(spec)
+    world = build_world(config, seed=seed, faults=[] if link else [fault])
+    connected = connect_in_process(config, world)
+    clock = VirtualClock(world)
+    injection = Injection(config, clock, [fault] if link else [], seed)
+    injection.follow(clock.now_ns)
+    rig = make_device_set(
+        config, clock, connected.connections, world.failures, in_front=injection.in_front_of
+    )
+    device, seen, width = rig.get(fault.device), Counter(), 1
+    try:
+        device.open()
+        for t_ns in range(1_000_000_000, round(SECONDS * 1e9), 10_000_000):
+            clock.sleep_until_ns(t_ns)
+            if fault.device == "servos":
+                device.ask()
+            try:
+                samples = device.read()
+            except HilError:
+                continue
+            for sample in samples:
+                states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
+                width = len(states)
+                seen.update(state.name for state in states)
+        device.close()
+    finally:
+        connected.close()
+    cycles = 100 * (SECONDS - 1.0) * width
+    return {name: count / cycles for name, count in seen.items()}, injection.report()
+
+
+def differ(spec: str) -> tuple[float, int]:
+    """Largest difference of a share between chip and link, mean of three seeds; messages hit at the link."""
+    chip, link, hit = Counter(), Counter(), 0
+    for seed in (3, 4, 5):
+        chip.update(shares(spec, link=False, seed=seed)[0])
+        found, report = shares(spec, link=True, seed=seed)
+        link.update(found)
+        hit += report[0]["messages"]
+    return max(abs(chip[name] - link[name]) / 3 for name in {*chip, *link}), hit
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "servos:drop@2+2,probability=0.2",
+        "servos:silent@2+1",
+        "encoders:drop@2+2,probability=0.2",
+        "imu:silent@2+1",
+    ],
+)
+def test_a_fault_at_the_link_costs_what_it_costs_at_the_chip(spec):
+    difference, hit = differ(spec)
+    assert difference < 0.03
+    assert hit > 10
+
+
+def every_pair() -> list[str]:
+    """Every fault that both seams of the shipped bench can have, by its spec."""
+    config = make_bench_model(PROFILE).config
+    at_chips = supported_faults(config)
+    found = []
+    for name in ("servos", "imu", "encoders", "mocap", "tracker"):
+        wire = model_of(config, name).wire_of(config.devices()[name])
+        for kind in permission.BY_WIRE[wire]:
+            if kind in at_chips[name]:
+                options = ",probability=0.2" if "probability" in at_chips[name][kind] else ""
+                found.append(f"{name}:{kind}@2+2{options}")
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("spec", every_pair())
+def test_every_fault_at_a_link_costs_what_it_costs_at_the_chip(spec):
+    difference, hit = differ(spec)
+    assert difference < 0.03
+    assert hit > 0
+
+
+BYTES = st.binary(min_size=0, max_size=40)
+PACKETS = {
+    "mip": lambda data: encode(0x80, [Field(0x04, data)]),
+    "line": lambda data: data.hex().encode() + b"\n",
+    "bno055": lambda data: bytes((0xBB, len(data))) + data,
+    "dynamixel": lambda data: (
+        b"\xff\xff\xfd\x00\x01" + (len(data) + 4).to_bytes(2, "little") + b"\x55\x00" + data + b"\x12\x34"
+    ),
+    "mavlink": lambda data: mavlink.MAVLink_statustext_message(6, data[:40]).pack(
+        mavlink.MAVLink(None, 1, 2)
+    ),
+}
+
+
+@pytest.mark.parametrize("protocol", FRAMINGS)
+@given(data=st.data())
+def test_messages_are_told_apart_in_whatever_pieces_they_arrive(protocol, data):
+    sent = [PACKETS[protocol](one) for one in data.draw(st.lists(BYTES, min_size=1, max_size=5))]
+    stream, buffer, found = b"".join(sent), bytearray(), []
+    while stream:
+        size = data.draw(st.integers(1, len(stream)))
+        buffer += stream[:size]
+        stream = stream[size:]
+        found += messages(FRAMINGS[protocol], buffer)
+    assert found == sent
+    assert not buffer
+
+
+class Port:
+    """A port whose bytes wait, and which keeps what is written."""
+
+    timeout = 0.0
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.written = data, []
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self.data)
+
+    def read(self, size: int) -> bytes:
+        taken, self.data = self.data[:size], self.data[size:]
+        return taken
+
+    def write(self, data: bytes) -> int:
+        self.written.append(data)
+        return len(data)
+
+
+class Now:
+    """A clock that stands."""
+
+    def now_ns(self) -> int:
+        return 0
+
+    def sleep_until_ns(self, t_ns: int) -> None:
+        raise AssertionError("a read without timeout does not wait")
+
+
+def faulty(port: Port, spec: str) -> tuple[FaultyPort, FaultPlan]:
+    plan = FaultPlan([parse_fault(spec)])
+    kinds = tuple(permission.BY_WIRE["serial"])
+    rng = np.random.default_rng(1)
+    return FaultyPort(port, LinkFaults(plan, "imu", rng, kinds, Now(), lambda: 1, "line")), plan
+
+
+@pytest.mark.parametrize("kind", [k for k in permission.BY_WIRE["serial"] if k != "unplug"])
+@given(commands=st.lists(st.binary(min_size=1, max_size=20), max_size=5))
+def test_what_is_sent_to_the_device_is_never_altered(kind, commands):
+    options = ",probability=1" if kind in ("drop", "corrupt", "truncate", "duplicate") else ""
+    port = Port(b"12 34\n")
+    link, _ = faulty(port, f"imu:{kind}@0{options}")
+    for command in commands:
+        link.write(command)
+        link.read(10)
+    assert port.written == commands
+
+
+def test_a_cleared_plan_leaves_the_port_as_it_is():
+    port = Port(b"12 34\n56 78\n")
+    link, plan = faulty(port, "imu:silent@0")
+    assert link.read(100) == b""
+    port.data = b"90 12\n"
+    plan.clear()
+    assert link.in_waiting == 6
+    assert link.read(100) == b"90 12\n"
