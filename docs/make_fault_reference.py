@@ -95,9 +95,10 @@ An unknown device or option, or a fault that a device cannot produce, is refused
 
 ## Real devices
 
-In front of a real device the bench can lose, damage, repeat and delay what the device sends. The same spec, timeline
-and marker are used. Two consents are needed: the bench file says what may ever be injected, the command line that it
-is meant now (`--inject-real` of `hil run` and `hil live`, `--hil-inject-real` of pytest).
+In front of a real device the bench can lose, damage, repeat and delay what the device sends. The same
+spec, timeline and marker are used. Two consents are needed: the bench file says what may ever be
+injected, the command line that it is meant now (`--inject-real` of `hil run` and `hil live`,
+`--hil-inject-real` of pytest).
 
 ```toml
 [faults]
@@ -106,19 +107,20 @@ devices = ["tracker", "imu"]         # no others
 ```
 
 {LINKS}
-* **Never towards a device.** Commands are neither altered nor lost. The fan's commands come from a process that has no
-  faults.
-* **On a wall without a tether** ({WALL}): of the servo bus only {SERVOS}, for 1 s at most; none of fan and
-  propellers. At any time one of {SEES} has no fault. A motion leads at most {TRAVEL:g} m away.
-* **A fault ends when the robot is stopped**, whatever stops it, and before HELD is judged. It exists in the bench's own
-  process only.
-* A fault that hits no message is an error of the run or the test. `injected` of `result.json`, and the page, say for
-  each fault whether it was at the chip or at the link, when, and how many messages it hit.
-* Power and content are not of the link: `off`, `brownout`, `reset`, `stuck`, `wrong` and `jump` are refused. `silent`
-  withholds what the device sends. A single servo or encoder has no link of its own.
+* **Never towards a device.** Commands are neither altered nor lost. The fan's commands come from a
+  process that has no faults.
+* **On a wall without a tether** ({WALL}): of the servo bus only {SERVOS}, for 1 s at most; none of fan
+  and propellers. At any time one of {SEES} has no fault. A motion leads at most {TRAVEL:g} m away.
+* **A fault ends when the robot is stopped**, whatever stops it, and before HELD is judged. It exists in
+  the bench's own process only.
+* A fault that hits no message is an error of the run or the test. `injected` of `result.json`, and the
+  page, say for each fault whether it was at the chip or at the link, when, and how many messages it hit.
+* Power and content are not of the link: `off`, `brownout`, `reset`, `stuck`, `wrong` and `jump` are
+  refused. `silent` withholds what the device sends. A single servo or encoder has no link of its own.
 
-On a CAN bus with several nodes a fault of one device also hits the frames of the others that its driver receives. A
-PASS with faults at the link says nothing about faults of the power. No real device has been tried.
+On a CAN bus with several nodes a fault of one device also hits the frames of the others that its driver
+receives. A PASS with faults at the link says nothing about faults of the power. No real device has been
+tried.
 
 This page is written by `docs/make_fault_reference.py` from the declarations of the devices.
 """
