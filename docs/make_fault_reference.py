@@ -34,8 +34,9 @@ PAGE = Path(__file__).with_name("faults.md")
 ROOT = Path(hil.__file__).resolve().parent
 HEAD = """# Faults
 
-Devices can have faults on request, so that you can test how the bench and your code react: emulated devices at
-the chip, [real devices](#real-devices) at the link. A fault consists of a device, a kind, a time and options:
+Devices can have faults on request, so that you can test how the bench and your code react: emulated
+devices at the chip, [real devices](#real-devices) at the link. A fault consists of a device, a kind, a time
+and options:
 
 ```
 DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...]
@@ -109,8 +110,10 @@ devices = ["tracker", "imu"]         # no others
 {LINKS}
 * **Never towards a device.** Commands are neither altered nor lost. The fan's commands come from a
   process that has no faults.
-* **On a wall without a tether** ({WALL}): of the servo bus only {SERVOS}, for 1 s at most; none of fan
-  and propellers. At any time one of {SEES} has no fault. A motion leads at most {TRAVEL:g} m away.
+* **On a wall without a tether** only
+  {WALL};
+  of the servo bus {SERVOS}, for 1 s at most; none of fan and propellers. At any time one of
+  {SEES} has no fault. A motion leads at most {TRAVEL:g} m away.
 * **A fault ends when the robot is stopped**, whatever stops it, and before HELD is judged. It exists in
   the bench's own process only.
 * A fault that hits no message is an error of the run or the test. `injected` of `result.json`, and the
