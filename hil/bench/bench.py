@@ -84,7 +84,7 @@ class Bench(HeldDevices):
         undivided: maker of the context of each cycle, as for `ControlLoop`.
         driven_by: name of an external program that drives every trajectory, and the function that queries it;
             None without one.
-        parameters: what the bench takes for granted, and what measurements say about it.
+        parameters: values that the bench takes for granted, and what measurements say about each.
         lost: errors of devices that ended a run of the bench, as texts.
         faults: faults planned for its devices.
         injection: faults in front of its real devices.

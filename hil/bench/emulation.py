@@ -240,7 +240,7 @@ def planned_faults(
     Args:
         config: the bench configuration; its faults come first.
         given: further specs or paths of TOML timelines.
-        inject_real: whether faults of real devices are injected at their links.
+        inject_real: True to inject faults of real devices at their links.
 
     Raises:
         UsageError, ConfigError: a spec or a file that cannot be read.
@@ -278,7 +278,7 @@ def check_faults(
         config: the bench configuration; its faults come first.
         given: further specs or paths of TOML timelines.
         only: names of the devices that will be emulated; empty for all emulated devices of the bench.
-        inject_real: whether faults of real devices are injected at their links.
+        inject_real: True to inject faults of real devices at their links.
 
     Returns:
         All faults.

@@ -43,7 +43,7 @@ def check_links(config: BenchConfig, faults: Sequence[Fault], *, consent: bool) 
     Args:
         config: the bench configuration.
         faults: faults whose device is real.
-        consent: whether the command line asks for faults of real devices.
+        consent: True if the command line asks for faults of real devices.
 
     Raises:
         FaultNotSupportedError: names the first fault and the reason.

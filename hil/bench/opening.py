@@ -65,7 +65,7 @@ def open_bench(
         calibration: `calibration.toml`; overrides the one of the configuration.
         start_pose: pose of the robot, (3,): m, m, rad in the wall frame; overrides `environment.start_pose`.
             An emulated robot is placed there.
-        inject_real: whether faults of real devices are injected at their links; `[faults]` of the bench file
+        inject_real: True to inject faults of real devices at their links; `[faults]` of the bench file
             must permit it, too.
 
     Raises:

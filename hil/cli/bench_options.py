@@ -100,7 +100,7 @@ class BenchRequest:
         start_pose: start pose of the robot, as text.
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
-        inject_real: whether faults of real devices are injected at their links.
+        inject_real: True to inject faults of real devices at their links.
         calibration: file to apply.
         controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
         ros2: True to publish as ROS 2 topics.

@@ -70,7 +70,7 @@ def check(
         seeing: sensors of the bench that see a slide of this robot.
         named: `[faults] devices` of the bench file.
         most: `[faults] real` of the bench file: the most dangerous situation that it permits.
-        present: where the robot is.
+        present: situation of the robot.
 
     Raises:
         FaultNotSupportedError: names the first fault and the reason.

@@ -44,7 +44,7 @@ class HeldKeys:
 
     Attributes:
         ended: why there will be no more keys: `key x`, or `terminal closed`; empty before.
-        stuck: how often a key was held for too long.
+        stuck: number of times a key was held for too long.
     """
 
     def __init__(self, descriptor: int, now_ns: Callable[[], int]) -> None:

@@ -32,7 +32,7 @@ class BenchSource:
         seed: seed of the emulated world.
         realtime: True to emulate devices at wire level, in real time.
         faults: fault specs.
-        inject_real: whether faults of real devices are injected at their links.
+        inject_real: True to inject faults of real devices at their links.
         overrides: dotted key -> value.
         calibration: file to apply.
         controller: the user's own controller for every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or

@@ -48,7 +48,7 @@ class DiagnosticsOnDisk(Mapping[str, Array]):
 
     Args:
         stretches: the parts, in order.
-        file: of those on the disk.
+        file: file of those on the disk.
         owner: keeps the file open.
     """
 

@@ -38,7 +38,7 @@ class DriveJogs:
         expected, found: (4, 3) body displacement per wheel as unit vectors; the turn is scaled by the
             wheels' distance from the centre.
         moved_m: (4,) length of the displacement: half of out minus back.
-        out_of_plane: whether motion capture saw the body move more out of its plane than in it.
+        out_of_plane: True if motion capture saw the body move more out of its plane than in it.
     """
 
     steering_rad: float

@@ -25,7 +25,7 @@ def force_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
     """Compare the reports of the fan with each other, and with the load cells.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
         seen: samples of the resting robot, by kind.
     """
     fan = config.of(AdhesionConfig)

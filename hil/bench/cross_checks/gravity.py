@@ -57,7 +57,7 @@ def gravity_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> It
     """Compare tilt and heading by all that measure them.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
         seen: samples of the resting robot, by kind.
     """
     if config.of(ServosConfig) is None:
@@ -190,8 +190,8 @@ def judged(witnesses: Sequence[Witness], beside: str) -> Iterator[CrossCheck]:
     """Results for the keys of sources that measure one angle: the one that all others contradict is wrong.
 
     Args:
-        witnesses: what each source says.
-        beside: what else may be wrong with the last source, in words.
+        witnesses: statement of each source.
+        beside: another possible error of the last source, in words.
     """
     if len(witnesses) < 2:
         return

@@ -27,7 +27,7 @@ def at_rest(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[
     """Everything that samples of a resting robot say about the bench file.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
         seen: samples by kind.
     """
     yield from gravity_checks(config, seen)
@@ -41,7 +41,7 @@ class Parameters:
     """What the bench takes for granted, and what its measurements say about it.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
     """
 
     def __init__(self, config: BenchConfig) -> None:

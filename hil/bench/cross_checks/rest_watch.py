@@ -19,7 +19,7 @@ class RestWatch:
     """Samples of the first cycles of a run.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
 
     Attributes:
         seen: samples by kind.

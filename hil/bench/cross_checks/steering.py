@@ -24,7 +24,7 @@ def steering_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> I
     Nothing where a zero is not known, or where both were measured together: then only a slip changes them.
 
     Args:
-        config: of the bench.
+        config: configuration of the bench.
         seen: samples of the resting robot, by kind.
     """
     table, own = config.of(EncodersConfig), config.alignment

@@ -59,11 +59,11 @@ class WeightCheck(Check):
     """Checks the drives of one run on a wall.
 
     Args:
-        lifted: what the bench file says.
-        stops: whether a contradiction stops the robot.
+        lifted: weight, push and drives by the bench file.
+        stops: True if a contradiction stops the robot.
 
     Attributes:
-        lifted: what the bench file says.
+        lifted: weight, push and drives by the bench file.
         off_share: difference found, as a share of the weight; NaN before the robot has gone far enough.
     """
 

@@ -38,7 +38,7 @@ class Explanation(NamedTuple):
 
     Attributes:
         key: its keys in the bench file, separated by commas.
-        text: what of it is wrong, in words.
+        text: description of what is wrong with it.
         factor: factor by which its value would fit; 0 for none.
     """
 
@@ -53,7 +53,7 @@ def explained(source: str, ratio: complex, *, turns: bool) -> Explanation | None
     Args:
         source: the sensor.
         ratio: its displacement over that of another, in the body's axes, or its turn over the other's.
-        turns: whether they are turns.
+        turns: True if they are turns.
     """
     size = abs(ratio)
     if not 1.0 / _LARGEST < size < _LARGEST:

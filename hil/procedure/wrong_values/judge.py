@@ -22,7 +22,7 @@ class Verdict:
     Attributes:
         case: the case.
         outcome: its verdict.
-        what: what happened, in words.
+        what: description of what happened.
         named_by: stages that named the key.
     """
 

@@ -52,8 +52,8 @@ class Truth:
         said_off_m, said_off_rad: estimate in the loop, less the truth.
         odometry_off_m: odometry less the truth.
         adhesion_n, thrust_n: true forces at rest.
-        fell: whether the robot fell or slid after the stop, by more than 2 mm.
-        drove: whether the climb reached its end.
+        fell: True if the robot fell or slid after the stop, by more than 2 mm.
+        drove: True if the climb reached its end.
     """
 
     reached_m: tuple[float, float] = (0.0, 0.0)
@@ -73,9 +73,9 @@ class Observed:
 
     Attributes:
         doctor, bring_up, climb: what each stage said.
-        held: how the bench left the robot.
+        held: state in which the bench left the robot.
         parameters: `parameters` of the doctor, by key.
-        truth: what was true.
+        truth: true state of the robot at the end.
     """
 
     doctor: Told = field(default_factory=Told)
