@@ -7,7 +7,8 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
-from hil.bench.further_device_errors import OwnName, making
+from hil.bench.device_within import DeviceWithin
+from hil.bench.further_device_errors import making, named
 from hil.bench.third_party.driver import wrapped_driver
 from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig
@@ -53,7 +54,7 @@ def make_device_set(
         if kind == name:
             return wrapped_driver(kinds()[name], model, make, failures, at.timeouts_s())
         device = wrapped_driver(kinds()[name], model, making(make, name), failures, at.timeouts_s())
-        return OwnName(device, kind, name)
+        return DeviceWithin(device, partial(named, kind, name), name)
 
     made = {name: in_front(name, driver(name, table)) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}

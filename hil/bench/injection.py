@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
+from hil.bench.device_within import DeviceWithin
 from hil.bench.drivers import model_of
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, Clock
@@ -111,7 +111,7 @@ class Injection:
         kinds = tuple(permission.BY_WIRE[wire])
         link = LinkFaults(self._plan, name, rng, kinds, self._clock, self._since_opened_ns, model.framing)
         self._links.append(link)
-        return FaultyDevice(driver, link)
+        return DeviceWithin(driver, partial(in_front_of, link), driver.name)
 
     def _since_opened_ns(self) -> int:
         return self._world_ns()
@@ -160,51 +160,6 @@ class Injection:
         return tuple(
             str(row["fault"]) for row in self.report() if row["begun_s"] is not None and not row["messages"]
         )
-
-
-class FaultyDevice(Device):
-    """A driver of a real device whose link has faults: they are present wherever it opens something.
-
-    Args:
-        driver: driver of the device.
-        faults: faults of the device.
-    """
-
-    def __init__(self, driver: Device, faults: LinkFaults) -> None:
-        self._driver, self._faults, self.name = driver, faults, driver.name
-
-    def open(self) -> None:
-        """Open the driver."""
-        with in_front_of(self._faults):
-            self._driver.open()
-
-    def close(self) -> None:
-        """Close the driver."""
-        self._driver.close()
-
-    def identity(self) -> Mapping[str, str]:
-        """Identity of the device."""
-        return self._driver.identity()
-
-    def read(self) -> Any:
-        """Samples of the driver."""
-        driver: Any = self._driver
-        return driver.read()
-
-    def __getattr__(self, name: str) -> Any:
-        """Give all other attributes of the driver; what its functions open has the faults, too."""
-        if name.startswith("_"):
-            raise AttributeError(name)
-        found = getattr(self._driver, name)
-        if not callable(found):
-            return found
-
-        @functools.wraps(found)
-        def call(*given: Any, **more: Any) -> Any:
-            with in_front_of(self._faults):
-                return found(*given, **more)
-
-        return call
 
 
 def nothing_hit(specs: Sequence[str]) -> str:

@@ -152,7 +152,6 @@ def _real(
     clock, config = MonotonicClock(), model.config
     injection = Injection(config, clock, at_links(config, plan), model.seed)
     rig = make_device_set(config, clock, connections, lost=lost, in_front=injection.in_front_of)
-    rig.disarm = injection.disarm
     return Bench(model, clock, rig, sinks=sinks, faults=plan, injection=injection)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from itertools import pairwise
 
 import pytest
 
@@ -18,23 +19,24 @@ from hil.config.loading import load_bench
 from hil.core.device import Connection
 from hil.core.errors import FaultNotSupportedError, SafetyStop, UsageError
 from hil.core.registry import kinds
+from hil.core.signals import Status
 from hil.fakes.world import VirtualClock
 from hil.faults.fault import parse_fault
 from hil.robot.trajectories import line
 
 
-def bench_with(spec: str, profile: str = "emulated") -> Bench:
-    """A bench in virtual time whose emulated devices have a fault at their links, as real ones do."""
+def bench_with(*specs: str, profile: str = "emulated") -> Bench:
+    """A bench in virtual time whose emulated devices have faults at their links, as real ones do."""
+    faults = tuple(map(parse_fault, specs))
     model = make_bench_model(profile)
     world = build_world(model.config, seed=2)
     connected = connect_in_process(model.config, world)
     clock = VirtualClock(world)
-    injection = Injection(model.config, clock, [parse_fault(spec)])
+    injection = Injection(model.config, clock, faults)
     rig = make_device_set(
         model.config, clock, connected.connections, world.failures, in_front=injection.in_front_of
     )
-    rig.disarm = injection.disarm
-    bench = Bench(model, clock, rig, world=world, faults=(parse_fault(spec),), injection=injection)
+    bench = Bench(model, clock, rig, world=world, faults=faults, injection=injection)
     bench.on_close(connected.close)
     return bench
 
@@ -58,6 +60,42 @@ def test_a_fault_that_has_hit_nothing_is_named_and_one_that_has_is_not():
     with bench_with("tracker:drop@1+0.5,probability=1e-6") as bench:
         bench.observe(2.5)
     assert bench.faults_without_effect() == ("tracker:drop@1+0.5,probability=1e-06",)
+
+
+def test_a_port_that_a_driver_opens_again_while_it_is_read_keeps_its_faults():
+    silent_s = {}
+    for where in ("chip", "link"):
+        overrides = {"imu": {"backend": "emulated", "model": "microstrain"}}
+        config = load_bench("emulated_floor", overrides=overrides)
+        fault = parse_fault("imu:unplug@3+1")
+        world = build_world(config, seed=2, faults=[fault] if where == "chip" else [])
+        connected = connect_in_process(config, world)
+        clock = VirtualClock(world)
+        injection = Injection(config, clock, [fault] if where == "link" else [])
+        injection.follow(clock.now_ns)
+        rig = make_device_set(
+            config, clock, connected.connections, world.failures, in_front=injection.in_front_of
+        )
+        imu, seen_ns = rig.get("imu"), []
+        imu.open()
+        while clock.now_ns() < 5_000_000_000:
+            clock.sleep_until_ns(clock.now_ns() + 10_000_000)
+            seen_ns += [clock.now_ns()] * any(s.status is Status.OK for s in imu.read())
+        imu.close()
+        connected.close()
+        silent_s[where] = max(b - a for a, b in pairwise(seen_ns)) / 1e9
+    assert silent_s["chip"] > 1.0
+    assert abs(silent_s["link"] - silent_s["chip"]) < 0.1
+
+
+def test_a_fault_counts_only_the_messages_that_it_has_hit_itself():
+    specs = ("imu:silent@2+1", "imu:corrupt@2+1,probability=1e-6")
+    with bench_with(*specs, profile="emulated_floor") as bench:
+        bench.observe(3.0)
+    silent, corrupt = bench.injection.report()
+    assert silent["messages"] > 10
+    assert corrupt["messages"] == 0
+    assert bench.faults_without_effect() == (corrupt["fault"],)
 
 
 def test_with_faults_a_robot_on_a_wall_is_not_led_far():

@@ -58,6 +58,7 @@ class HeldDevices:
         self.faults = faults
         self.injection = Injection(self.config, clock) if injection is None else injection
         self.injection.follow(lambda: self.world_ns)
+        rig.disarm = self.injection.disarm
         self._is_open = False
         self._begun_ns: int | None = None
         self._clock_description: dict[str, object] | None = None
