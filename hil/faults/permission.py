@@ -41,9 +41,8 @@ SEES_A_SLIDE = ("tracker", "mocap", "load_cells")
 """Sensors, one of which has no fault at any time of a plan on a wall."""
 LONGEST_TRAVEL_M = 0.3
 """Longest distance that a robot on a wall drives with a fault in front of one of its devices."""
-_POWER = {"off": "power", "brownout": "power", "reset": "power"}
+_POWER = ("off", "brownout", "reset")
 _AT_POWER = "use `silent`, which withholds what the device sends; or switch its power by hand"
-_CONTENT = ("stuck", "wrong", "jump", "slow", "adhesion_loss", "baud_mismatch", "bus_off")
 
 
 def situation(*, on_wall: bool, tethered: bool) -> str:

@@ -71,10 +71,6 @@ class AdhesionLimits:
         """Force by the fan's speed, N."""
         return math.nan if self.fan is None else self.fan.force_at_n(sample.speed_rpm)
 
-    def fan_forces_n(self, sample: AdhesionSample, *, steady: bool = True) -> dict[str, float]:
-        """Force by each measurement of the fan's controller, N, by name."""
-        return {} if self.fan is None else forces_n(self.fan, reading(sample), steady=steady)
-
     def believed(self, forces: Mapping[str, float]) -> Believed:
         """The force that counts, of forces by name."""
         return believe(forces, math.inf if self.fan is None else self.fan.highest_n)
