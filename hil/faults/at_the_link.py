@@ -45,12 +45,17 @@ class LinkFaults:
     ) -> None:
         self._plan, self.name, self.framing = plan, name, framing
         self.clock, self._world_ns = clock, world_ns
-        self._messages = Messages(plan, (name,), rng, kinds)
+        self._messages = Messages(plan, (name,), rng, kinds, on_hit=self._count)
         self.hit: dict[str, int] = {}
 
     def acting(self) -> bool:
         """Whether a fault of the device acts now."""
         return bool(self._now())
+
+    @property
+    def over(self) -> bool:
+        """Whether all faults have been ended, so that nothing may be held back any longer."""
+        return self._plan.empty
 
     def gone(self) -> bool:
         """Whether the port has failed, as that of a pulled adapter does."""
@@ -63,18 +68,15 @@ class LinkFaults:
     def arriving(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Yield what arrives of a message: how much later, ns, and the bytes, perhaps in pieces."""
         t_ns, late_ns = self._world_ns(), 0
-        acting = self._now()
-        late = self._messages.find("delayed", t_ns)
+        arrived = self._messages.received(data, t_ns)
+        late = self._messages.find("delayed", t_ns) if arrived else None
         if late is not None:
             late_ns = late.delay_ns()
-        arrived = self._messages.received(data, t_ns)
-        pieces = [piece for message in arrived for piece in self._messages.pieces(message, t_ns)]
-        if arrived != (data,) or len(pieces) > 1 or late_ns:
-            for fault in acting:
-                self._count(fault)
-        for pause_ns, piece in pieces:
-            late_ns += pause_ns
-            yield late_ns, piece
+            self._count(late)
+        for message in arrived:
+            for pause_ns, piece in self._messages.pieces(message, t_ns):
+                late_ns += pause_ns
+                yield late_ns, piece
 
     def only_lose(self) -> bool:
         """Whether the faults that act now lose messages, and do nothing else to them."""
@@ -82,12 +84,7 @@ class LinkFaults:
 
     def arrives(self) -> bool:
         """Decide whether a message arrives that can only be lost."""
-        acting = self._now()
-        arrives = bool(self._messages.copies(self._world_ns()))
-        if not arrives:
-            for fault in acting:
-                self._count(fault)
-        return arrives
+        return bool(self._messages.copies(self._world_ns()))
 
     def _now(self) -> tuple[Fault, ...]:
         return () if self._plan.empty else self._plan.active(self.name, self._world_ns())

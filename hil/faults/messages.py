@@ -6,7 +6,7 @@ draws once for each message. Emulated devices use the rule at their wires; it kn
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -57,6 +57,7 @@ class Messages:
         rng: random numbers of the draws.
         kinds: kinds of faults that the wire produces.
         way: direction of faults that give none, `IN` or `OUT`.
+        on_hit: called with each fault that has withheld or altered a message; by default nothing is.
 
     Attributes:
         unharmed: True if no fault is or was planned for the device, so that callers can skip the rule.
@@ -70,7 +71,9 @@ class Messages:
         kinds: Iterable[str],
         *,
         way: str = IN,
+        on_hit: Callable[[Fault], None] = lambda fault: None,
     ) -> None:
+        self._on_hit = on_hit
         self._names, self._rng, self._kinds, self._way = names, rng, frozenset(kinds), way
         self._view = plan.of(*names)
 
@@ -96,8 +99,13 @@ class Messages:
     def copies(self, t_ns: int, way: str = IN) -> int:
         """Return how many times a message arrives that is sent now: 0, 1 or 2."""
         pausing = self.find("intermittent", t_ns, way)
-        silent = self.find("silent", t_ns, way) or (pausing is not None and pausing.silences(t_ns))
-        if silent or self._hit("drop", t_ns, way):
+        silent = self.find("silent", t_ns, way)
+        if silent is None and pausing is not None and pausing.silences(t_ns):
+            silent = pausing
+        if silent is not None:
+            self._on_hit(silent)
+            return 0
+        if self._hit("drop", t_ns, way):
             return 0
         return 2 if self._hit("duplicate", t_ns, way) else 1
 
@@ -110,7 +118,8 @@ class Messages:
             way: its direction.
             bits: number of its bits that are sent, lowest bit of the first byte first; all by default.
         """
-        if self.find("garbage", t_ns, way) is not None:
+        if (garbage := self.find("garbage", t_ns, way)) is not None:
+            self._on_hit(garbage)
             data = self._rng.bytes(len(data))
         if data and self._hit("truncate", t_ns, way):
             data = data[: int(self._rng.integers(len(data)))]
@@ -131,12 +140,14 @@ class Messages:
     def pieces(self, data: bytes, t_ns: int, way: str = IN) -> Iterator[tuple[int, bytes]]:
         """Yield the pieces in which a message arrives, each with the pause before it, ns."""
         fault = self.find("pieces", t_ns, way)
-        gap_ns = 0
+        gap_ns, whole = 0, data
         while fault is not None and data:
             most = 2 * int(fault.option("size", PIECE_BYTES))
             size = int(self._rng.integers(1, most))
             if size >= len(data):
                 break
+            if data is whole:
+                self._on_hit(fault)
             yield gap_ns, data[:size]
             data, gap_ns = data[size:], nanoseconds(fault.option("gap_s", GAP_S))
         if data:
@@ -144,4 +155,7 @@ class Messages:
 
     def _hit(self, kind: str, t_ns: int, way: str) -> bool:
         fault = self.find(kind, t_ns, way)
-        return fault is not None and fault.hits(self._rng)
+        hits = fault is not None and fault.hits(self._rng)
+        if fault is not None and hits:
+            self._on_hit(fault)
+        return hits

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import serial
 
@@ -54,6 +54,41 @@ def with_faults(
     return opened if found is None else wrapped(opened, found)
 
 
+class HeldBack(Generic[T]):
+    """Queue of what arrives later than it came; when all faults are ended, what is in it is discarded.
+
+    Args:
+        faults: faults of the device.
+    """
+
+    def __init__(self, faults: LinkFaults) -> None:
+        self._faults, self._queue, self._ended = faults, deque[tuple[int, T]](), False
+
+    def __bool__(self) -> bool:
+        self._discard()
+        return bool(self._queue)
+
+    @property
+    def next_ns(self) -> int | None:
+        """Time at which the next is due; None for none."""
+        self._discard()
+        return self._queue[0][0] if self._queue else None
+
+    def add(self, due_ns: int, item: T) -> None:
+        """Add what is due at a time, or behind those before it."""
+        self._queue.append((max(due_ns, self._queue[-1][0]) if self._queue else due_ns, item))
+
+    def take(self, now_ns: int) -> T | None:
+        """Take the oldest that is due, or None."""
+        self._discard()
+        return self._queue.popleft()[1] if self._queue and self._queue[0][0] <= now_ns else None
+
+    def _discard(self) -> None:
+        if self._faults.over and not self._ended:
+            self._queue.clear()
+            self._ended = True
+
+
 class FaultyPort:
     """A serial port with faults in front of it; everything but reading is the port's own.
 
@@ -66,7 +101,7 @@ class FaultyPort:
         own = self.__dict__
         own["_port"], own["_faults"], own["_framing"] = port, faults, FRAMINGS.get(faults.framing)
         own["_raw"], own["_ready"] = bytearray(), bytearray()
-        own["_later"], own["_rest"], own["_kept"] = deque(), 0, True
+        own["_later"], own["_rest"], own["_kept"] = HeldBack[bytes](faults), 0, True
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._port, name)
@@ -121,7 +156,7 @@ class FaultyPort:
 
     def _passes(self) -> bool:
         """Whether no fault acts and nothing waits here, so that the port itself can be read."""
-        return not (self._raw or self._ready or self._later) and not self._faults.acting()
+        return not (self._later or self._raw or self._ready) and not self._faults.acting()
 
     def _pull(self) -> None:
         """Take what has arrived at the port through the faults."""
@@ -132,18 +167,14 @@ class FaultyPort:
         self._pass_rest(now_ns)
         for message in messages(self._framing, self._raw):
             for late_ns, piece in self._faults.arriving(message):
-                self._queue(now_ns + late_ns, piece)
+                self._later.add(now_ns + late_ns, piece)
         if self._begin_early():
             self._pass_rest(now_ns)
         if self._raw and not self._faults.acting():
-            self._later.append((now_ns, bytes(self._raw)))
+            self._later.add(now_ns, bytes(self._raw))
             self._raw.clear()
-        while self._later and self._later[0][0] <= now_ns:
-            self._ready.extend(self._later.popleft()[1])
-
-    def _queue(self, ready_ns: int, data: bytes) -> None:
-        """Let bytes arrive at a time, behind those before them."""
-        self._later.append((max(ready_ns, self._later[-1][0]) if self._later else ready_ns, data))
+        while (piece := self._later.take(now_ns)) is not None:
+            self._ready.extend(piece)
 
     def _begin_early(self) -> bool:
         """Decide the fate of a message from its head, where it can only be lost; its bytes do not wait."""
@@ -163,11 +194,11 @@ class FaultyPort:
         del self._raw[: self._rest]
         self._rest -= len(part)
         if self._kept:
-            self._queue(now_ns, part)
+            self._later.add(now_ns, part)
 
     def _wait(self, now_ns: int, end_ns: int | None) -> None:
         """Wait for more bytes, at most until the next late ones are ready."""
-        ends = [t for t in (end_ns, self._later[0][0] if self._later else None) if t is not None]
+        ends = [t for t in (end_ns, self._later.next_ns) if t is not None]
         wait_s = max(0.0, (min(ends) - now_ns) / NS_PER_S) if ends else _POLL_S
         with contextlib.suppress(Exception):
             select.select([self._port.fileno()], [], [], min(wait_s, 100 * _POLL_S))
@@ -185,7 +216,7 @@ class FaultyBus:
 
     def __init__(self, bus: Any, faults: LinkFaults) -> None:
         self._bus, self._faults = bus, faults
-        self._later: deque[tuple[int, Any]] = deque()
+        self._later = HeldBack[Any](faults)
         self.send, self.shut = bus.send, bus.shut
 
     def receive(self, wait_s: float = 0.0) -> Any:
@@ -195,8 +226,8 @@ class FaultyBus:
         end_ns = self._faults.clock.now_ns() + nanoseconds(wait_s)
         while True:
             now_ns = self._faults.clock.now_ns()
-            if self._later and self._later[0][0] <= now_ns:
-                return self._later.popleft()[1]
+            if (due := self._later.take(now_ns)) is not None:
+                return due
             left_s = max(0.0, (end_ns - now_ns) / NS_PER_S)
             message = self._bus.receive(min(left_s, _POLL_S) if self._later else left_s)
             if message is not None:
@@ -210,7 +241,7 @@ class FaultyBus:
             frame = message
             if late_ns or data != bytes(message.data):
                 frame = _altered(message, data, late_ns)
-            self._later.append((now_ns + late_ns, frame))
+            self._later.add(now_ns + late_ns, frame)
 
 
 def _altered(message: Any, data: bytes, late_ns: int) -> Any:
@@ -235,7 +266,7 @@ class FaultyDatagrams:
 
     def __init__(self, port: Any, faults: LinkFaults) -> None:
         self._port, self._faults = port, faults
-        self._later: deque[tuple[int, Any]] = deque()
+        self._later = HeldBack[Any](faults)
         self.send, self.close = port.send, port.close
 
     def __getattr__(self, name: str) -> Any:
@@ -249,10 +280,8 @@ class FaultyDatagrams:
             now_ns = self._faults.clock.now_ns()
             for late_ns, data in self._faults.arriving(found.data):
                 arrived = found._replace(data=data, arrived_ns=found.arrived_ns + late_ns)
-                self._later.append((now_ns + late_ns, arrived))
-        if self._later and self._later[0][0] <= self._faults.clock.now_ns():
-            return self._later.popleft()[1]
-        return None
+                self._later.add(now_ns + late_ns, arrived)
+        return self._later.take(self._faults.clock.now_ns())
 
 
 def faulty_callback(take: Callable[[T], None], faults: LinkFaults) -> Callable[[T], None]:

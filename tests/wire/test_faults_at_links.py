@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+import can
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,13 +17,14 @@ from hil.bench.injection import Injection
 from hil.bench.opening import make_bench_model
 from hil.core.errors import HilError
 from hil.devices.imu.microstrain.mip_packets import Field, encode
+from hil.drivers.mocap import Datagram
 from hil.fakes.world import VirtualClock
 from hil.faults import permission
 from hil.faults.at_the_link import LinkFaults
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan
 from hil.links.framing import FRAMINGS, messages
-from hil.links.injection import FaultyPort
+from hil.links.injection import FaultyBus, FaultyDatagrams, FaultyPort
 
 PROFILE, SECONDS = "emulated_floor", 6.0
 
@@ -159,10 +161,12 @@ class Port:
 
 
 class Now:
-    """A clock that stands."""
+    """A clock that stands until it is set."""
+
+    t_ns = 0
 
     def now_ns(self) -> int:
-        return 0
+        return self.t_ns
 
     def sleep_until_ns(self, t_ns: int) -> None:
         raise AssertionError("a read without timeout does not wait")
@@ -195,3 +199,46 @@ def test_a_cleared_plan_leaves_the_port_as_it_is():
     plan.clear()
     assert link.in_waiting == 6
     assert link.read(100) == b"90 12\n"
+
+
+class Bus:
+    """A bus or UDP port whose messages wait."""
+
+    def __init__(self, make):
+        self.make, self.waiting = make, []
+        self.send = self.shut = self.close = None
+
+    def receive(self, wait_s=0.0):
+        return self.make(self.waiting.pop(0)) if self.waiting else None
+
+
+def frame(data):
+    return can.Message(arbitration_id=1, data=data)
+
+
+def datagram(data):
+    return Datagram(data, ("127.0.0.1", 1), 0)
+
+
+@pytest.mark.parametrize(("wrapped", "make"), [(FaultyBus, frame), (FaultyDatagrams, datagram)])
+def test_what_was_held_back_never_arrives_once_the_faults_are_ended(wrapped, make):
+    bus, plan = Bus(make), FaultPlan([parse_fault("imu:delayed@0,delay_s=0.8")])
+    now = Now()
+    faults = LinkFaults(plan, "imu", np.random.default_rng(1), ("delayed",), now, lambda: 1)
+    link = wrapped(bus, faults)
+    bus.waiting = [b"old"]
+    assert link.receive() is None
+    plan.clear()
+    now.t_ns = 10_000_000_000
+    bus.waiting = [b"new"]
+    assert bytes(link.receive().data) == b"new"
+    assert link.receive() is None
+
+
+def test_bytes_that_were_held_back_never_arrive_once_the_faults_are_ended():
+    port = Port(b"old\n")
+    link, plan = faulty(port, "imu:delayed@0,delay_s=0.8")
+    assert link.read(100) == b""
+    plan.clear()
+    port.data = b"new\n"
+    assert link.read(100) == b"new\n"
