@@ -24,7 +24,8 @@ from hil.links.injection import FaultyBus, present, with_faults
 
 _MOST_FRAMES = 512
 _WAIT_S, _JOIN_S = 0.05, 0.5
-_LOOK_NS, _CATCH_UP_NS, _HELD_UP_NS = 2_000_000, 100_000_000, 300_000_000
+_LOOK_NS, _CATCH_UP_NS = 2_000_000, 100_000_000
+_BEHIND_NS, _HELD_UP_NS = 50_000_000, 300_000_000
 _ERROR_COUNTS = 16
 _GONE_NS, _AGAIN_S = 100_000_000, 0.5
 
@@ -92,7 +93,7 @@ class CanLink:
         self._meaning: Meaning | None = None
         self._said: deque[Any] = deque(maxlen=_MOST_FRAMES)
         self._arrivals = ArrivalClock()
-        self._asked_ns = 0
+        self._asked_ns = self._emptied_ns = 0
         self._failing_ns: int | None = None
         self._faults: LinkFaults | None = None
         self.error, self.error_frames = "", 0
@@ -170,12 +171,18 @@ class CanLink:
     def _waiting(self, queue: deque[T], wait_ns: int) -> list[T]:
         """What the thread has put into a queue; waits for a first one, for `wait_ns` at most.
 
-        After 0.3 s without a call that is at least 0.1 s, so that the thread can catch up.
+        After 0.3 s without a call that is at least 0.1 s, so that the thread can catch up. After 50 ms
+        without a call the thread may be behind, as code that holds the interpreter stops it, too: then
+        this waits for what has arrived until now.
         """
         asked_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
         if self._asked_ns - asked_ns > _HELD_UP_NS:
             wait_ns = max(wait_ns, _CATCH_UP_NS)
         end_ns = self._asked_ns + wait_ns
+        if self._asked_ns - asked_ns > _BEHIND_NS and self._bus is not None:
+            full_ns = self._asked_ns + _CATCH_UP_NS
+            while self._emptied_ns < self._asked_ns and self._clock.now_ns() < full_ns:
+                self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
         while not queue and self._clock.now_ns() < end_ns:
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
         return [queue.popleft() for _ in range(len(queue))] if queue else []
@@ -198,6 +205,7 @@ class CanLink:
                 self._read.extend(arrived)
             else:
                 self._said.extend(self._meant(arrived, meaning))
+            self._emptied_ns = self._clock.now_ns()
             if self._failing_ns is not None and self._clock.now_ns() - self._failing_ns > _GONE_NS:
                 with self._lock:
                     self._bus = None if self._bus is bus else self._bus
