@@ -37,6 +37,8 @@ _USABLE = (True,) * 4
 def to_run(recording: Recording, *, on_wall: bool) -> RecordedRun:
     """Convert a recording to a run that starts at its first ground truth in the wheel log; see `start_of`.
 
+    Without ground truth it starts at the origin, with the first wheel row.
+
     Args:
         recording: recording of other origin.
         on_wall: True where gravity lies in the motion plane.
@@ -47,6 +49,8 @@ def to_run(recording: Recording, *, on_wall: bool) -> RecordedRun:
 
 def _from_first_truth(recording: Recording) -> Recording:
     """Cut the wheel rows before the first ground truth, and interpolate the wheels at that instant."""
+    if not recording.has_truth:
+        return recording
     at_s = wheel_edges(recording, truth_window(recording)[0][0], recording.t_s[-1])
     angle, steering, rate, receive_s = (
         interpolate(at_s, recording.t_s, values)

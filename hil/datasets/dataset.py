@@ -22,7 +22,7 @@ from hil.datasets.segments import in_words, split
 from hil.datasets.truth_jumps import WheelMotion
 from hil.datasets.unit_check import check_units, rolled_m
 from hil.datasets.unit_factors import check_rates, check_steering_unit, check_ways
-from hil.datasets.usable_rows import Rows, usable, without_frozen, without_jumps
+from hil.datasets.usable_rows import Rows, usable, usable_wheels, without_frozen, without_jumps
 from hil.datasets.wheel_turns import check_steering, whole_turns, without_turns
 from hil.datasets.wheel_ways import Drive
 
@@ -40,7 +40,7 @@ class Recording:
         t_s: (n,) strictly increasing, s; `truth_t_s` (m,) has the same time axis.
         wheel_angle_rad: (n, 4) cumulative; `steering_rad` (n, 4) without leaps by whole turns.
         wheel_rate_rad_s: (n, 4) velocity register, NaN where the source has none.
-        truth_pose: (m, 3) m, m, rad unwrapped.
+        truth_pose: (m, 3) m, m, rad unwrapped; m is 0 where a bag is read without ground truth.
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
         repairs: counts of repairs by name.
         problems: parts of its file that could not be read.
@@ -80,6 +80,11 @@ class Recording:
         """Whether the velocity register was recorded for all rows."""
         return bool(np.all(np.isfinite(self.wheel_rate_rad_s)))
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether there is ground truth."""
+        return len(self.truth_t_s) > 0
+
     def warnings(self) -> tuple[str, ...]:
         """Losses and repairs, one line each."""
         of = f"its figures are of {self.t_s[-1] - self.t_s[0]:.1f} s that were read"
@@ -92,7 +97,7 @@ class Recording:
 def build_recording(
     name: str,
     wheels: Log,
-    truth: Log,
+    truth: Log | None,
     *,
     motion: str = "",
     sources: tuple[str, ...] = (),
@@ -105,7 +110,7 @@ def build_recording(
     Args:
         name: name of the recording, also in messages.
         wheels: columns phi_1..4, delta_1..4 and, optionally, wheel rates 1..4.
-        truth: columns x, y, theta (theta may be wrapped).
+        truth: columns x, y, theta (theta may be wrapped); None to replay the wheels without it.
         motion: group name; classified from the ground truth when empty.
         sources: files it was read from.
         sha256: digests of those files, in the same order.
@@ -118,7 +123,10 @@ def build_recording(
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
     parts, problems, refusals = list[Recording](), list[str](), list[DataError]()
-    logs = split(where, wheels, truth)
+    logs = [
+        (one, None if truth is None else other)
+        for one, other in split(where, wheels, wheels if truth is None else truth)
+    ]
     for k, (own_wheels, own_truth) in enumerate(logs, start=1):
         called = name if len(logs) == 1 else f"{name} part {k}"
         try:
@@ -136,9 +144,17 @@ def build_recording(
 
 
 def _build(
-    name: str, where: str, wheels: Log, truth: Log, motion: str, robot: Nominal, repairs: dict[str, int]
+    name: str,
+    where: str,
+    wheels: Log,
+    truth: Log | None,
+    motion: str,
+    robot: Nominal,
+    repairs: dict[str, int],
 ) -> Recording:
     """One recording from logs without steps back; see `build_recording`."""
+    if truth is None:
+        return _without_truth(name, where, wheels, motion, robot, repairs)
     rows, poses = usable(where, wheels, truth, repairs)
     begin_s, end_s = max(rows.t_s[0], poses.t_s[0]), min(rows.t_s[-1], poses.t_s[-1])
     counted = rows.values[:, 4:8]
@@ -170,6 +186,38 @@ def _build(
         truth_receive_s=poses.receive_s,
         repairs=repairs,
         contradictions=lasting,
+        nominal=robot,
+    )
+
+
+def _without_truth(
+    name: str, where: str, wheels: Log, motion: str, robot: Nominal, repairs: dict[str, int]
+) -> Recording:
+    """The same from a wheel log alone, of which only what wheels can show of themselves is checked."""
+    rows = usable_wheels(where, wheels, repairs)
+    fresh, values = without_held(rows.t_s, rows.values, repairs)
+    rows = Rows(rows.t_s, values, rows.receive_s).only(fresh)
+    rate = recorded_rates(rows.values, repairs)
+    turns = whole_turns(where, rows.t_s, rows.values[:, :4], rate)
+    repairs.update(turns.repairs)
+    if turns.refusal is not None:
+        raise turns.refusal
+    count_gaps(repairs, rows.t_s, "wheel gaps over {:g} s bridged")
+    steering, none = without_turns(rows.values[:, 4:8]), np.empty(0)
+    check_steering(where, rows.t_s, steering, turns.angle)
+    check_rates(where, rows.t_s, turns.angle, rate)
+    return Recording(
+        name=name,
+        motion=motion or "other",
+        t_s=rows.t_s,
+        wheel_angle_rad=turns.angle,
+        steering_rad=steering,
+        wheel_rate_rad_s=rate,
+        truth_t_s=none,
+        truth_pose=np.empty((0, 3)),
+        receive_s=rows.receive_s,
+        truth_receive_s=none,
+        repairs=repairs,
         nominal=robot,
     )
 

@@ -50,13 +50,15 @@ class Start:
 
 
 def start_of(recording: Recording) -> Start:
-    """Start of a recording; computed once and cached."""
+    """Start of a recording; computed once and cached; at the origin where there is no ground truth."""
     if "start" not in recording.derived:
         recording.derived["start"] = _found(recording)
     return cast("Start", recording.derived["start"])
 
 
 def _found(recording: Recording) -> Start:
+    if not recording.has_truth:
+        return Start(np.zeros(3), rolling=False)
     at_s, truth = truth_window(recording)
     behind = recording.t_s > at_s[0]
     first = interpolate(at_s[:1], recording.t_s, recording.wheel_angle_rad)

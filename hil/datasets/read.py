@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hil.core.errors import DataError, UsageError
+from hil.core.errors import ConfigError, DataError, UsageError
 from hil.core.wrong_path_hint import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
 from hil.datasets.azimuth_coupling import Coupling, decoupled
@@ -73,6 +73,12 @@ def find_recordings(
         UsageError: a path is not a possible file name.
     """
     mapping = None if topics is None else read_topic_map(topics)
+    if mapping is not None and mapping.truth is None:
+        raise ConfigError(
+            f"{topics}: has no [truth], and without ground truth nothing can be compared",
+            expected="the topic of the robot's true poses",
+            remedy="add it, or use `hil replay`, which does without",
+        )
     jobs: list[Job] = []
     for given in paths:
         path = Path(given)

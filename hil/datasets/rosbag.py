@@ -162,10 +162,12 @@ def _digest(file: Path) -> str:
 
 def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
     wheels, names = topics.wheels, topics.topics
-    poses, tracker = TruthPoses(file, topics.truth), TrackerRows()
+    tracker = TrackerRows()
     joints = JointRows(file, wheels.topic, wheels.joints)
     imu = ImuRows(removed=topics.imu is not None and topics.imu.gravity == "removed")
-    rows_of: dict[str, Any] = {"wheels": joints, "truth": poses, "imu": imu, "tracker": tracker}
+    rows_of: dict[str, Any] = {"wheels": joints, "imu": imu, "tracker": tracker}
+    if topics.truth is not None:
+        rows_of["truth"] = TruthPoses(file, topics.truth)
     collectors = {topic: rows_of[table] for table, topic in names.items()}
     stamps: dict[str, list[_Stamp]] = {topic: [] for topic in collectors}
     for topic, stamp, message in _messages(file, {topic: _TYPES[table] for table, topic in names.items()}):
@@ -180,13 +182,16 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
         )
     times = _times(file, stamps)
     wheel_s, rows = joints.rows(times[wheels.topic])
-    known, planar, repairs = poses.rows()
+    truth, repairs = None, dict[str, int]()
+    if topics.truth is not None:
+        known, planar, repairs = rows_of["truth"].rows()
+        truth = Log(times[topics.truth.topic][known], planar)
     for problem in broken_frames(file):
         LOG.warning("%s: %s", file, problem)
     found = build_recording(
         file.stem,
         Log(wheel_s, _signed(wheels, rows)),
-        Log(times[names["truth"]][known], planar),
+        truth,
         motion=motion_of(file.stem),
         sources=(str(file),),
         nominal=nominal,

@@ -11,7 +11,7 @@
     drive_sign = [1, 1, 1, 1]                  # optional, as are the next two
     steer_sign = [1, 1, 1, 1]
     steer_zero_rad = [0.0, 0.0, 0.0, 0.0]
-    [truth]
+    [truth]                                    # optional for `hil replay` and `hil export`
     topic = "/mocap/pose"                      # PoseStamped, PoseWithCovarianceStamped or Odometry
     up_axis = "z"                              # optional, as are the next two
     mount_position_m = [0.0, 0.0, 0.0]
@@ -158,7 +158,7 @@ class TopicMap(_Strict):
     schema_version: Literal[2] = Field(alias="schema")
     body_frame: str = "base_link"
     wheels: WheelTopic
-    truth: TruthTopic
+    truth: TruthTopic | None = None
     imu: ImuTopic | None = None
     tracker: TrackerTopic | None = None
 

@@ -49,32 +49,42 @@ def usable(where: str, wheels: Log, truth: Log, repairs: dict[str, int]) -> tupl
     Raises:
         DataError: too few rows, too little time that both cover, or stamps that are no times.
     """
-    check_time(where, wheels.t_s)
-    for kind, log in (("wheel", wheels), ("ground-truth", truth)):
-        check_repeats(where, kind, log.t_s, log.values)
-    wheels = completed(with_angles(wheels, repairs), 8, "wheel", range(4, 8), repairs)
-    rows = Rows(*clean(wheels, 8, "wheel", repairs))
+    rows = usable_wheels(where, wheels, repairs)
+    check_repeats(where, "ground-truth", truth.t_s, truth.values)
     truth = completed(truth, 3, "ground-truth", (2,), repairs)
     poses = Rows(*clean(truth, 3, "ground-truth", repairs))
+    if len(poses.t_s) < _MIN_ROWS:
+        raise DataError(
+            where,
+            f"only {len(poses.t_s)} usable ground-truth rows{emptiest(truth, _TRUTH_COLUMNS)}",
+            expected="x, y and theta from motion capture",
+            remedy="a bag without ground truth can be replayed, with no [truth] in its --topics file",
+        )
+    shared_s = min(rows.t_s[-1], poses.t_s[-1]) - max(rows.t_s[0], poses.t_s[0])
+    if shared_s < 1.0:
+        raise _apart(where, float(poses.t_s[0] - rows.t_s[0]), float(shared_s))
+    check_stamp_jumps(where, poses.t_s)
+    return rows, poses
+
+
+def usable_wheels(where: str, wheels: Log, repairs: dict[str, int]) -> Rows:
+    """Cleaned rows of the wheels; arguments as of `usable`.
+
+    Raises:
+        DataError: too few rows, or stamps that are no times.
+    """
+    check_time(where, wheels.t_s)
+    check_repeats(where, "wheel", wheels.t_s, wheels.values)
+    wheels = completed(with_angles(wheels, repairs), 8, "wheel", range(4, 8), repairs)
+    rows = Rows(*clean(wheels, 8, "wheel", repairs))
     if len(rows.t_s) < _MIN_ROWS:
         raise DataError(
             where,
             f"only {len(rows.t_s)} usable wheel rows{emptiest(wheels, _WHEEL_COLUMNS)}",
             expected=f"at least {_MIN_ROWS}",
         )
-    if len(poses.t_s) < _MIN_ROWS:
-        raise DataError(
-            where,
-            f"only {len(poses.t_s)} usable ground-truth rows{emptiest(truth, _TRUTH_COLUMNS)}",
-            expected="x, y and theta from motion capture",
-            remedy="a run without ground truth can be replayed but not evaluated or calibrated",
-        )
-    shared_s = min(rows.t_s[-1], poses.t_s[-1]) - max(rows.t_s[0], poses.t_s[0])
-    if shared_s < 1.0:
-        raise _apart(where, float(poses.t_s[0] - rows.t_s[0]), float(shared_s))
-    for stamps in (rows.t_s, poses.t_s):
-        check_stamp_jumps(where, stamps)
-    return rows, poses
+    check_stamp_jumps(where, rows.t_s)
+    return rows
 
 
 def _apart(where: str, later_s: float, shared_s: float) -> DataError:

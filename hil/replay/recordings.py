@@ -89,8 +89,10 @@ class OpenedRecording:
 
         reported = warnings_of(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
+        if not self._with_truth:
+            return [*failed, *reported, *assumed]
         robot = replace(self.robot, geometry=self.bench.geometry)
-        found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
+        found = mismatch(reduce_recordings(self._with_truth, _BLOCK_S), robot)
         other = [f"{found}; {OTHER_ROBOT}"] if found else []
         return [*failed, *reported, *assumed, *other]
 
@@ -100,7 +102,7 @@ class OpenedRecording:
 
         Complete after `runs` was read.
         """
-        wheels = contradictions(self.tables, self.bench.geometry) if self.tables else []
+        wheels = contradictions(self._with_truth, self.bench.geometry) if self._with_truth else []
         return [*wheels, *self.contradicted_sensors]
 
     @property
@@ -109,6 +111,10 @@ class OpenedRecording:
         geometry, on_wall = self.bench.geometry, self.bench.config.environment.on_wall
         found = (sensor_contradictions(one, geometry, on_wall=on_wall) for one in self.tables)
         return list(chain.from_iterable(found))
+
+    @property
+    def _with_truth(self) -> list[Recording]:
+        return [one for one in self.tables if one.has_truth]
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
@@ -235,7 +241,11 @@ def _read_foreign(
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
         found = read_bag(path, read_topic_map(topics), robot)
-        parts = [covered(replace(part, later=()), robot) for part in (found, *found.later)]
+        parts = [replace(part, later=()) for part in (found, *found.later)]
+        if not found.has_truth:
+            tables.extend(decoupled(parts, robot.geometry, coupling))
+            return lambda: (to_run(one, on_wall=on_wall) for one in tables)
+        parts = [covered(part, robot) for part in parts]
         parts = decoupled(parts, robot.geometry, coupling)
         tables.extend(parts if on_wall else corrected(parts))  # sag on a wall looks like a turned body
         check_signs(tables, robot)
