@@ -27,7 +27,8 @@ _OFFERED = {
     "live": ("live", "Watch the live loop", ("--bench", "--duration")),
 }
 """Commands that the console starts: heading, and which of their options are seen at first."""
-_NEVER = {"as_json", "answers", "out", "fix", "dry", "resume", "commands", "record", "script", "settings"}
+_TERMINAL = {"answers", "fix", "dry", "resume", "commands", "script", "settings"}
+_NEVER = {"as_json", "out", "record", "unrecorded"} | _TERMINAL
 """Options that the console sets itself, or that belong to a terminal."""
 _SEEN = ("--bench", "--quick")
 _UNITS = {
@@ -148,7 +149,7 @@ def _where(command: str, name: str, root: Path) -> Sequence[str]:
     """Options for the output of a run, and for questions that the console answers on stdin."""
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
     if command == "live":
-        return "--record", str(root / "live" / f"{stamp}.mcap")
+        return "--out", str(root / "live" / stamp)
     return () if command == "doctor" else ("--out", str(root / name / stamp), "--answers", "-")
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
-from hil.cli.live import dated_recording, drive, must_be_held, open_recorder, real_time_source
+from hil.cli.live import drive, must_be_held, open_recorder, real_time_source
 from hil.cli.options import JSON, FiniteRange
+from hil.cli.session_folder import SessionFolder, out_option
 from hil.core.errors import EXIT_PASS, Aborted, UsageError
 from hil.core.signals import WHEELS
 
@@ -47,6 +49,7 @@ _WAYS = {
     help="Rate of a steering axis, or of the body's turn, in rad/s.",
 )
 @bench_options("calibration", "start_pose", "seed", "faults")
+@out_option
 @JSON
 def command(
     request: BenchRequest,
@@ -55,6 +58,7 @@ def command(
     body: bool,
     speed_m_s: float,
     turn_rad_s: float,
+    out: Path | None,
     as_json: bool,
 ) -> int:
     """Move the robot by the keyboard, in real time; it stops when the key is let go.
@@ -79,7 +83,7 @@ def command(
         )
     terminal = sys.stdin.fileno()
     source = real_time_source(request)
-    stop = StopRequest()
+    stop, folder = StopRequest(), SessionFolder(out, "jog")
     with stop.noted(), closing(source.open()) as opened:
         opened.warns_not_held = False
         keys = HeldKeys(terminal, opened.clock.now_ns)
@@ -92,11 +96,11 @@ def command(
             )
         else:
             plan = _of_joint(opened, keys, f"steer_{steer}", turn_rad_s)
-        recorder = open_recorder(opened, dated_recording(), "stop")
+        recorder = open_recorder(opened, folder.recording, "stop")
         session = LiveSession(opened, plan, recorder=recorder, stop=stop)
         with key_by_key(terminal):
             click.echo(f"hold a key: {_WAYS['body' if body else 'joint']}; x ends", err=True)
-            drive(session, None, as_json=as_json)
+            drive(session, folder, None, as_json=as_json)
         must_be_held(opened, recorder, stop)
         if keys.ended == CLOSED:
             raise Aborted("the terminal was closed")

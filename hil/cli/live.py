@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,7 @@ from hil.cli.options import (
 )
 from hil.cli.output import Answered, print_end, unreadable
 from hil.cli.ros2_options import published
+from hil.cli.session_folder import SessionFolder, out_option
 from hil.core.choices import ESTIMATORS
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
 from hil.support.atomic_files import check_new_file
@@ -88,7 +88,10 @@ if TYPE_CHECKING:
 )
 @bench_options("controller")
 @rerun_option("spawn, connect, serve, a rerun+http:// URL or a .rrd file; several with commas.")
-@click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
+@out_option
+@click.option(
+    "--record", type=FILE, help="Recording to write, a new file [default: recording.mcap in that folder]."
+)
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
 @on_recording_failure_option("the recording")
 @bench_options("calibration", "start_pose", "seed")
@@ -106,6 +109,7 @@ def command(
     feedback: str,
     observers: tuple[str, ...],
     view: str | None,
+    out: Path | None,
     record: Path | None,
     unrecorded: bool,
     on_failure: OnFailure,
@@ -114,7 +118,7 @@ def command(
 ) -> int:
     """Run the control-estimate loop at its rate in real time.
 
-    Every session is recorded, in a new file: see --record and --no-record.
+    Every session is recorded, in a new folder, and listed by `hil results`: see --out and --no-record.
     Without --trajectory, --command and a program on ROS 2 it only watches: no wheel moves. On a wall torque
     is switched on, so that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
@@ -129,7 +133,8 @@ def command(
 
     if request.ros2_topic and commands != "none":
         raise UsageError(f"--command and --controller {request.controller} would both move the robot")
-    _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
+    _must_agree(source, commands, repeated, record, out, unrecorded=unrecorded)
+    folder = None if unrecorded else SessionFolder(out, "live")
     if repeated is not None and request.ros2_topic:
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     bench = real_time_source(request, repeated)
@@ -154,12 +159,12 @@ def command(
                     dead_man_s,
                     known,
                 )
-                recorder = (
-                    None if unrecorded else open_recorder(opened, record or dated_recording(), on_failure)
-                )
+                recorder = None
+                if folder is not None:
+                    recorder = open_recorder(opened, record or folder.recording, on_failure)
                 monitor = _monitor(opened, view)
                 session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
-                drive(session, view, as_json=as_json)
+                drive(session, folder, view, as_json=as_json)
         must_be_held(opened, recorder, stop)
     return EXIT_PASS
 
@@ -173,7 +178,7 @@ def must_be_held(bench: Bench, recorder: McapRecorder | None, stop: StopRequest)
     if bench.held.lost:
         emulated = "servos" in bench.config.emulated()
         raise DeviceError(
-            "emulated robot" if emulated else "robot",
+            f"{'emulated' if emulated else 'real'} robot of bench {bench.config.name}",
             f"NOT HELD: {bench.held.why}",
             remedy="" if emulated else "secure it before anything else",
         )
@@ -223,15 +228,22 @@ def _commands(commands: str) -> Iterator[CommandLines | None]:
 
 
 def _must_agree(
-    source: Path | None, commands: str, repeated: Path | None, record: Path | None, *, unrecorded: bool
+    source: Path | None,
+    commands: str,
+    repeated: Path | None,
+    record: Path | None,
+    out: Path | None,
+    *,
+    unrecorded: bool,
 ) -> None:
     """Refuse options that contradict each other, and a recording that cannot be written."""
     if source is not None and commands != "none":
         raise UsageError(
             f"--trajectory and commands from {commands} would both move the robot", remedy="give one of them"
         )
-    if unrecorded and record is not None:
-        raise UsageError("--record and --no-record contradict each other", remedy="give one of them")
+    if unrecorded and (record is not None or out is not None):
+        given = "--out" if record is None else "--record"
+        raise UsageError(f"{given} and --no-record contradict each other", remedy="give one of them")
     if repeated is not None and (source is not None or commands != "none"):
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     if record is not None:
@@ -248,11 +260,20 @@ def real_time_source(request: BenchRequest, repeated: Path | None = None) -> Ben
     return source.changed(overrides=start_question.asked_start(source.config))
 
 
-def drive(session: LiveSession, view: str | None, *, as_json: bool) -> None:
-    """Run the session on the open bench; always prints the summary, even if the session never began."""
+def drive(session: LiveSession, folder: SessionFolder | None, view: str | None, *, as_json: bool) -> None:
+    """Run the session on the open bench; always prints the summary, even if the session never began.
+
+    Args:
+        session: session to run.
+        folder: folder in which the summary is kept, too; None for nowhere.
+        view: where Rerun shows it; None for nowhere.
+        as_json: True to print one JSON object.
+    """
     from hil.bench.hold.result import seen_in_words
 
     bench = session.bench
+    if folder is not None:
+        folder.begin(bench)
     try:
         session.end_if_asked()
         with bench:
@@ -268,14 +289,9 @@ def drive(session: LiveSession, view: str | None, *, as_json: bool) -> None:
         raise
     finally:
         bench.close()
-        _report(session, as_json=as_json)
+        _report(session, folder, as_json=as_json)
         if view is not None:
             say_rerun_files(view)
-
-
-def dated_recording() -> Path:
-    """Default path of a recording, made of date and time."""
-    return Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3]).with_suffix(".mcap")
 
 
 def open_recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
@@ -306,10 +322,12 @@ def _monitor(bench: Bench, view: str | None) -> RerunMonitor | None:
     return monitor
 
 
-def _report(session: LiveSession, *, as_json: bool) -> None:
+def _report(session: LiveSession, folder: SessionFolder | None, *, as_json: bool) -> None:
     summary, monitor = session.summary(), session.monitor
     if monitor is not None:
         summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
+    if folder is not None:
+        folder.end(summary)
     held: Any = summary["held"]
     print_end(json.dumps(summary) if as_json else _text(summary), held)
     answered = click.get_current_context().find_object(Answered)

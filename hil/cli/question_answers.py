@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ from hil.cli import progress
 from hil.cli.options import FileName
 
 if TYPE_CHECKING:
+    from hil.config.bench import BenchConfig
     from hil.core.interfaces import Sink
     from hil.procedure.operator import Operator
     from hil.procedure.stop_requests import Interrupts
@@ -50,11 +53,11 @@ def asked_to_end() -> Interrupts:
     return Interrupts(tell, None if progress.for_a_program() else PATIENCE_S)
 
 
-def watching() -> tuple[Sink, ...]:
-    """Sinks that report the running bench to a program that reads the progress; none for a person."""
+def watching() -> tuple[Callable[[BenchConfig], Sink], ...]:
+    """Makers of the sinks that report a running bench to a program that reads the progress; else none."""
     if not progress.for_a_program():
         return ()
     from hil.core.clock import MonotonicClock
     from hil.monitor.status_lines import StatusStream
 
-    return (StatusStream(progress.tell, MonotonicClock()),)
+    return (partial(StatusStream, progress.tell, MonotonicClock()),)

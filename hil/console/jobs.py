@@ -25,6 +25,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import accumulate
@@ -37,8 +38,8 @@ from hil.core.event_rows import event_lines
 
 COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
 STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
-NO_RESULT = "ENDED"
-"""Verdict of a job that left no result."""
+NO_RESULT, BY_STOP = "ENDED", "STOPPED"
+"""Verdicts of a job that left no result, and of one that STOP has ended."""
 _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
 """Keys of a JSON line on standard error, with the type of the value."""
 _BY_ITSELF = ("duration", "trajectory")
@@ -308,8 +309,21 @@ def _end(job: Job, shown: Mapping[str, Any]) -> dict[str, Any]:
         pages["findings"] = result["findings"]
     if isinstance(events := result.get("events"), list):
         pages["events"] = event_lines(events)
-    emulated = result.get("virtual_time") is True
-    return {"verdict": verdict, "why": why, "held": held, "emulated": emulated, **pages}
+    if verdict == "ABORTED" and (job.folder / STOPPED).exists():
+        verdict, why = BY_STOP, "STOP was pressed"
+    elif verdict == "ABORTED" and "ended" in result and (job.folder / FINISH).exists():
+        verdict, why = "DONE", "ended from the page"
+    how = {"emulated": "servos" in (result.get("emulated") or ()), "ended": _written_last(job)}
+    return {"verdict": verdict, "why": why, "held": held, **how, **pages}
+
+
+def _written_last(job: Job) -> float:
+    """When the last word of a job was written, in seconds since the epoch; when it began if there is none."""
+    times = [job.started]
+    for name in (STDOUT, STDERR):
+        with suppress(OSError):
+            times.append((job.folder / name).stat().st_mtime)
+    return max(times)
 
 
 def _why(result: Mapping[str, Any]) -> str:

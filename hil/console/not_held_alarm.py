@@ -4,13 +4,14 @@ It is computed from the folders of the jobs, so that it survives a reload or a r
 only if it ran on the same bench and found the robot held; a job that opened no device, or only examined the
 devices, does not. A person can also reset it by confirming that the robot is secured.
 
-The alarm of an emulated robot says that it was emulated, and is reset in the same two ways, although its
-world ended with the run.
+An alarm says which bench, when, and whether the robot is real. That of an emulated robot is reset in the same
+two ways, although its world ended with the run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -100,10 +101,18 @@ def _bench(job: Job) -> tuple[str, ...]:
 
 
 def _in_words(job: Job, ended: Mapping[str, Any]) -> str:
+    """Which robot, when, why, and what to do."""
+    shown = ended.get("live") or {}
+    file = next((word.removeprefix(_BENCH) for word in _bench(job) if word.startswith(_BENCH)), "")
+    bench = shown.get("bench") or file or "emulated"
+    real = shown["robot"] == "real" if "robot" in shown else bool(file) and not ended["emulated"]
+    robot = f"{'Real' if real else 'Emulated'} robot, bench {bench}"
+    robot += f" ({file})" if file not in ("", bench) else ""
+    robot += f", {datetime.fromtimestamp(ended['ended']):%Y-%m-%d %H:%M:%S}"
     held = ended.get("held")
     if not held:
-        return f"{job.title} was killed while its loop ran. Check whether the robot is held."
+        rest = " Check whether the robot is held." if real else ""
+        return f"{robot}: {job.title} was killed while its loop ran.{rest}"
     why = str(held.get("why")).rstrip(".")
-    if ended.get("emulated") or not any(word.startswith(_BENCH) for word in _bench(job)):
-        return f"{job.title} left its emulated robot NOT HELD: {why}."
-    return f"The robot is NOT HELD since {job.title}: {why}. Secure it before you do anything else."
+    rest = " Secure it before you do anything else." if real else ""
+    return f"{robot}: NOT HELD after {job.title}: {why}.{rest}"

@@ -1,4 +1,4 @@
-"""Figures of the running loop twice a second, for a program that watches: pose, wheels, devices, events.
+"""Figures of the running loop twice a second, for a program that watches: bench, pose, devices, events.
 
 No Rerun and no thread: figures that are due are passed on within the cycle, as plain values.
 """
@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.event_rows import EventRows, event_lines
 from hil.core.interfaces import HELD_NOTE, Sink
@@ -26,10 +27,13 @@ class StatusStream(Sink):
     Args:
         tell: function that receives `("live", figures)`, and `("held", how)` when a bench is closed.
         clock: the host's.
+        config: configuration of the bench; its name, and whether its robot is real, are passed on, too.
     """
 
-    def __init__(self, tell: Tell, clock: Clock) -> None:
+    def __init__(self, tell: Tell, clock: Clock, config: BenchConfig) -> None:
         self._tell, self._clock = tell, clock
+        robot = "emulated" if "servos" in config.emulated() else "real"
+        self._bench = {"bench": config.name, "robot": robot}
         self._next_ns = 0
         self._begun_ns: int | None = None
         self._counts: dict[str, int] = {}
@@ -66,6 +70,7 @@ class StatusStream(Sink):
         state, wheels = record.state, record.measurements.wheels
         since_ns = record.inputs.t_ns - (self._begun_ns or 0)
         return {
+            **self._bench,
             "t_s": round(since_ns / NS_PER_S, 3),
             "pose": _plain(state.pose_body_in_wall),
             "twist": _plain(state.twist_body),

@@ -37,7 +37,7 @@ class BenchSource:
         calibration: file to apply.
         controller: the user's own controller for every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or
             `ros2:TOPIC` of a ROS 2 program (needs `publish`); empty for the law of bench and procedure.
-        watch: sinks added to every bench opened from this source.
+        watch: functions, each of which makes a sink for every bench opened from this source.
         publish: function that makes one more sink from the header of a bench opened in this process; None for
             none.
     """
@@ -51,7 +51,7 @@ class BenchSource:
     overrides: Mapping[str, object] = field(default_factory=dict)
     calibration: Path | None = None
     controller: str = ""
-    watch: tuple[Sink, ...] = field(default=(), compare=False)
+    watch: tuple[Callable[[BenchConfig], Sink], ...] = field(default=(), compare=False)
     publish: Callable[[Mapping[str, Any]], Sink] | None = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -107,7 +107,7 @@ class BenchSource:
             faults=self.faults,
             inject_real=self.inject_real,
             overrides=self.overrides,
-            sinks=(*self.watch, *sinks),
+            sinks=(*(make(self.config) for make in self.watch), *sinks),
             calibration=self.calibration,
         )
         try:

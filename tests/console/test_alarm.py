@@ -2,6 +2,7 @@
 
 import json
 import os
+from datetime import datetime
 
 import pytest
 
@@ -93,7 +94,24 @@ def test_a_run_that_was_killed_while_it_drove_is_one_too_and_doctor_that_was_kil
     job_in(tmp_path / "jobs", names(1), words=MINE, err=moved)
     job_in(tmp_path / "jobs", names(2), words=["doctor", "--bench=my.toml"])
     (reported,) = Alarm(tmp_path).not_held()
-    assert reported["words"] == "x was killed while its loop ran. Check whether the robot is held."
+    assert "x was killed while its loop ran" in reported["words"]
+
+
+@pytest.mark.parametrize("robot", ["real", "emulated", None])
+def test_it_says_which_bench_when_and_whether_a_robot_must_be_secured(tmp_path, robot):
+    """A mix may have emulated servos although a file is named; without figures, what the result says."""
+    seen = line(live={"bench": "lab", "robot": robot}) if robot else ""
+    out = json.dumps({"verdict": "FAIL", "held": LOOSE, "emulated": [] if robot else ["servos"]})
+    job = job_in(tmp_path / "jobs", names(1), out=out, err=seen, words=MINE)
+    ended = datetime(2026, 1, 2, 3, 4, 5).timestamp()
+    os.utime(job.folder / jobs.STDOUT, (ended, ended))
+    os.utime(job.folder / jobs.STDERR, (ended - 9.0, ended - 9.0))
+    (reported,) = Alarm(tmp_path).not_held()
+    said = reported["words"]
+    assert "my.toml" in said
+    assert ("lab" in said) is (robot is not None)
+    assert "2026-01-02 03:04:05" in said
+    assert ("Secure it" in said) is said.startswith("Real") is (robot == "real")
 
 
 def asked(process, method, path, body=None):
@@ -130,11 +148,12 @@ def test_a_terminal_learns_it_with_exit_code_3_until_it_is_secured(folder, capsy
     assert code == 3
     assert "nothing runs" in said
     assert "the last was x: NOT HELD: the fan does not answer" in said
-    assert "The robot is NOT HELD since x" in said
+    assert "NOT HELD after x: the fan does not answer" in said
+    assert "Real robot, bench my.toml" in said
     examined(folder, 2)
     code, said = stop("--json")
     assert (code, json.loads(said)["last"]["title"], len(json.loads(said)["not_held"])) == (3, "x", 1)
     Alarm(folder).secure([names(1)])
     code, said = stop()
     assert code == 0
-    assert "The robot" not in said
+    assert "Real robot" not in said

@@ -218,6 +218,24 @@ def test_how_a_job_ended_is_in_what_it_wrote_last(tmp_path, out, err, verdict, w
     assert in_words(state) == words
 
 
+@pytest.mark.parametrize(
+    ("mark", "out", "verdict"),
+    [
+        (jobs.STOPPED, {"ended": "SIGINT", "held": HELD}, "STOPPED"),
+        (jobs.STOPPED, {"verdict": "ABORTED", "error": {"message": "."}, "held": HELD}, "STOPPED"),
+        (jobs.STOPPED, {"verdict": "PASS", "error": None, "held": HELD}, "PASS"),
+        (jobs.FINISH, {"ended": "SIGINT", "held": HELD}, "DONE"),
+        (jobs.FINISH, {"verdict": "ABORTED", "error": {"message": "."}, "held": HELD}, "ABORTED"),
+    ],
+)
+def test_what_a_person_has_stopped_is_shown_as_stopped_and_not_as_a_signal(tmp_path, mark, out, verdict):
+    job = job_in(tmp_path, out=json.dumps(out))
+    (job.folder / mark).write_text("{}")
+    state = jobs.state(job)
+    assert state["verdict"] == verdict
+    assert "SIG" not in state["why"]
+
+
 def test_folders_that_are_no_jobs_are_left_out(tmp_path):
     job_in(tmp_path)
     for name, text in (("a", "{"), ("b", '{"words": 1, "title": "x", "started": 0}'), ("c", "[]")):
@@ -260,7 +278,7 @@ def test_a_run_is_asked_for_answered_and_stopped_within_its_step_and_ends_held(t
         asked = stop_all(tmp_path / "jobs")
     assert asked == [job]
     (state,) = wait_for(asked, 60.0)
-    assert (state["verdict"], state["held"]["state"]) == ("ABORTED", "HELD")
+    assert (state["verdict"], state["held"]["state"]) == ("STOPPED", "HELD")
     notes = json.loads((tmp_path / "out" / "result.json").read_text())["notes"]
     assert "the colour is blue and green" in notes
     assert jobs.answer(job, 0, "more") == "that is not the question any more: nothing is asked any more"

@@ -58,7 +58,7 @@ class Jog:
         out, err = self.process.communicate(timeout=LIMIT_S)
         with contextlib.suppress(OSError):
             os.close(self.keyboard)
-        (path,) = (self.folder / "out" / "live").glob("*.mcap")
+        (path,) = (self.folder / "out" / "live").glob("*/recording.mcap")
         return self.process.returncode, json.loads(out), err, path
 
 

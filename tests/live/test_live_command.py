@@ -19,6 +19,8 @@ from hil.cli import main
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.recording.mcap_reader import read_cycles
+from hil.report.history.index import find_results
+from hil.report.history.removal import loss
 from tests.patience import PATIENT, patient_bench
 
 SQUARE = "x,y,theta\n0,0,0\n0.06,0,0\n0.06,0.04,0\n"
@@ -84,6 +86,14 @@ def test_the_summary_says_what_happened(driven):
     assert summary["samples"]["servos"]["missing"] == 0
     assert summary["monitor"]["failure"] == ""
     assert (folder / "run.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_a_session_is_in_the_history_and_can_be_deleted_whole(driven):
+    folder, summary = driven
+    (kept,) = find_results(folder)
+    assert (kept.kind, kept.what, kept.bench) == ("live", "live", summary["bench"])
+    assert summary["held"]["state"] in kept.why
+    assert set(loss(folder, kept).files) == {"session.json"}, "the recording was to be elsewhere"
 
 
 def test_a_real_time_recording_repeats_bit_for_bit(driven):
@@ -201,8 +211,9 @@ def test_every_session_is_recorded_under_its_date_unless_asked_otherwise(tmp_pat
     process = live(tmp_path, "--duration", "0.5")
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
-    (path,) = (tmp_path / "out" / "live").iterdir()
-    assert re.fullmatch(r"\d{8}-\d{6}-\d{3}\.mcap", path.name)
+    (folder,) = (tmp_path / "out" / "live").iterdir()
+    assert re.fullmatch(r"\d{8}-\d{6}-\d{3}", folder.name)
+    path = folder / "recording.mcap"
     assert f"recording to {path.relative_to(tmp_path)}" in err
     reported = json.loads(out)["recording"]
     assert reported["path"] == str(path.relative_to(tmp_path))

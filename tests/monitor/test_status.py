@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
+from hil.config.loading import load_bench
 from hil.core.clock import Clock, nanoseconds
 from hil.core.interfaces import Sink
 from hil.core.signals import Event
@@ -40,6 +41,9 @@ class Kept(Sink):
         pass
 
 
+BENCH = load_bench("emulated_floor")
+
+
 @pytest.fixture(scope="module")
 def records():
     kept = Kept()
@@ -51,7 +55,7 @@ def records():
 
 def test_it_reports_twice_a_second_and_counts_what_came_between(records):
     reported, clock = [], At()
-    stream = StatusStream(lambda kind, data: reported.append((kind, data)), clock)
+    stream = StatusStream(lambda kind, data: reported.append((kind, data)), clock, BENCH)
     for number, record in enumerate(records[:9]):
         clock.ns = number * nanoseconds(0.125)
         stream.write(record)
@@ -67,7 +71,7 @@ def test_it_reports_twice_a_second_and_counts_what_came_between(records):
 
 def test_what_is_unknown_is_null_and_events_stay(records):
     reported, clock = [], At()
-    stream = StatusStream(lambda kind, data: reported.append(data), clock)
+    stream = StatusStream(lambda kind, data: reported.append(data), clock, BENCH)
     first = records[0]
     state = replace(first.state, pose_body_in_wall=np.array([np.nan, 0.1, 0.2]))
     stream.write(replace(first, state=state, events=(Event(first.inputs.t_ns, "warning", "imu", "stuck"),)))
@@ -79,7 +83,7 @@ def test_what_is_unknown_is_null_and_events_stay(records):
 
 def test_how_the_robot_was_left_is_passed_on_and_nothing_else_that_is_noted(records):
     reported = []
-    stream = StatusStream(lambda kind, data: reported.append((kind, data)), At())
+    stream = StatusStream(lambda kind, data: reported.append((kind, data)), At(), BENCH)
     stream.note(0, "run", {})
     stream.note(0, "held", {"state": "HELD"})
     assert reported == [("held", {"state": "HELD"})]

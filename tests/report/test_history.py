@@ -319,3 +319,24 @@ def test_names_from_elsewhere_are_only_text_on_the_page(tmp_path):
     assert page.count("<script") == 1
     assert "<script>alert" not in page
     assert "&lt;script&gt;" in page
+
+
+SESSION = {"command": "live", "began": "2026-03-01T10:00:00+00:00", "bench": "lab", "emulated": ["imu"]}
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "why"),
+    [
+        ({"ended": "key x", "held": {"state": "HELD"}}, "live", "ended by: key x; HELD"),
+        ({}, "live", "it still runs, or was killed"),
+        ({"began": 3}, "foreign", "session.json is of no live session"),
+    ],
+)
+def test_a_live_session_is_listed_also_one_that_was_killed(tmp_path, change, kind, why):
+    folder = tmp_path / "live" / "one"
+    folder.mkdir(parents=True)
+    (folder / "session.json").write_text(json.dumps(SESSION | change))
+    (kept,) = find_results(tmp_path)
+    assert (kept.kind, kept.why) == (kind, why)
+    if kind == "live":
+        assert (kept.what, kept.where, kept.when.hour) == ("live", "real time, emulated: imu", 10)

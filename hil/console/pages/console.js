@@ -60,7 +60,7 @@ function place(values) {
   const script = (values.SCRIPT || "script").replace(/^.*\//, "").replace(/\.[^.]*$/, "");
   const folder = quoted(`${offer.elsewhere}/${name.includes(" ") ? script : name}/`);
   const stamp = "$(date +%Y%m%d-%H%M%S)";
-  return name === "live" ? ["--record", `${folder}${stamp}.mcap`] : ["--out", `${folder}${stamp}`];
+  return ["--out", `${folder}${stamp}`];
 }
 
 async function start(name, values) {

@@ -1,4 +1,4 @@
-"""Lists the contents of a folder of results: runs, campaigns, commissionings, acceptances, others.
+"""Lists the contents of a folder of results: runs, live sessions, campaigns, commissionings and others.
 
 A folder of results may hold any files. An entry that is not a readable result is listed with the reason: an
 unfinished run, the result of another version, a page or a file from another source.
@@ -28,13 +28,14 @@ from hil.core.result_files import (
     PLAN,
     RESULT,
     RESULT_SCHEMA,
+    SESSION,
 )
 from hil.report.result_file import read_result
 from hil.support.file_reading import json_object, read_json
 
 RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"
-FAULTS, UNFINISHED, FOREIGN = "faults", "unfinished", "foreign"
-OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, FAULTS, UNFINISHED)
+FAULTS, LIVE, UNFINISHED, FOREIGN = "faults", "live", "unfinished", "foreign"
+OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, FAULTS, LIVE, UNFINISHED)
 """Kinds that `hil` writes, and may delete."""
 _DEEPEST = 8
 _MOST_LINE_BYTES = 4 << 20
@@ -48,8 +49,8 @@ class Kept:
     Attributes:
         folder: folder of the entry.
         name: path of that folder, relative to the folder of results; shown to the user.
-        kind: `run`, `campaign`, `commissioning`, `acceptance`, `faults`, `unfinished`, `foreign`.
-        what: name of the procedure; title of a page.
+        kind: `run`, `campaign`, `commissioning`, `acceptance`, `faults`, `live`, `unfinished`, `foreign`.
+        what: name of the procedure, or of the command of a live session; title of a page.
         when: start time; if unknown, time of the last change.
         bench: name of the bench.
         where: `hardware`, `emulated`, or which devices were emulated.
@@ -248,6 +249,29 @@ def _faults(folder: Path, name: str) -> Kept:
     )
 
 
+def _session(folder: Path, name: str) -> Kept:
+    """Return the entry of a live session."""
+    tree, problem = _object(folder / SESSION)
+    command, when = tree.get("command"), _moment(tree.get("began"))
+    if problem or not isinstance(command, str) or when is None:
+        return _foreign(folder, name, SESSION, problem or f"{SESSION} is of no live session")
+    emulated, held = tree.get("emulated"), tree.get("held")
+    devices = ", ".join(map(str, emulated)) if isinstance(emulated, list) else ""
+    why = "it still runs, or was killed"
+    if isinstance(held, dict):
+        why = f"ended by: {tree.get('ended')}; {held.get('state')}"
+    return Kept(
+        folder,
+        name,
+        LIVE,
+        command,
+        when,
+        bench=str(tree.get("bench", "")),
+        where=f"real time, emulated: {devices}" if devices else "hardware",
+        why=why,
+    )
+
+
 def _unfinished_faults(folder: Path, name: str) -> Kept:
     """Return the entry of an unfinished fault campaign."""
     why = "a fault campaign without its table; --resume continues it"
@@ -292,6 +316,7 @@ _READERS: Mapping[str, Callable[[Path, str], Kept | None]] = {
     COMMISSIONING_TABLE: _commissioning,
     ACCEPTANCE_TABLE: _acceptance,
     FAULTS_TABLE: _faults,
+    SESSION: _session,
     JOURNAL: _unfinished,
     PLAN: _unfinished_campaign,
     FAULTS_CELLS: _unfinished_faults,

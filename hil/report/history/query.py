@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import UsageError, did_you_mean
-from hil.report.history.index import OURS, UNFINISHED, Kept
+from hil.report.history.index import LIVE, OURS, UNFINISHED, Kept
 from hil.support.file_reading import dotted
 
 LAST = "last"
@@ -77,7 +77,7 @@ def named(found: Sequence[Kept], name: str, *, whole: bool = False) -> Kept:
     """
     if name == LAST and not whole:
         ours = [k for k in found if k.kind in OURS and not k.within]
-        latest = next((k for k in ours if k.kind != UNFINISHED), next(iter(ours), None))
+        latest = next((k for k in ours if k.kind not in (LIVE, UNFINISHED)), next(iter(ours), None))
         if latest is None:
             raise UsageError("there is no result yet", remedy="run a procedure first")
         return latest

@@ -32,14 +32,26 @@ from hil.core.result_files import (
     FAULTS_TABLE,
     JOURNAL,
     JUNIT,
+    LIVE_RECORDING,
     PLAN,
     REPORT,
     RESULT,
     ROWS,
     RUNS,
+    SESSION,
     TRENDS,
 )
-from hil.report.history.index import ACCEPTANCE, CAMPAIGN, COMMISSIONING, FAULTS, OURS, RUN, Kept, in_use
+from hil.report.history.index import (
+    ACCEPTANCE,
+    CAMPAIGN,
+    COMMISSIONING,
+    FAULTS,
+    LIVE,
+    OURS,
+    RUN,
+    Kept,
+    in_use,
+)
 from hil.support.file_reading import json_object, read_json
 
 FOLDERS = ("figures", "attachments", "recordings", RUNS, ROWS)
@@ -71,6 +83,7 @@ _OF_A_COMMISSIONING = re.compile(
     r"|robot/files/[^/]+-[0-9a-f]{12}(\.[^/.]+)?(\.part)?"
 )
 _OF_AN_ACCEPTANCE = re.compile(_any_of(ACCEPTANCE_TABLE, ACCEPTANCE_PAGE))
+_OF_A_SESSION = re.compile(_any_of(SESSION, LIVE_RECORDING))
 _OF_FAULTS = re.compile(_any_of(FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX, FAULTS_CELLS, FAULTS_CELLS_BEFORE))
 
 
@@ -98,6 +111,7 @@ def written(kept: Kept) -> list[str]:
         ACCEPTANCE_TABLE,
         FAULTS_TABLE,
         FAULTS_CELLS,
+        SESSION,
     )
     own = [name for name in _own(kept, there) if not (folder / name).is_symlink()]
     own += [name for name in there if _BEGUN.fullmatch(name) and not (folder / name).is_symlink()]
@@ -107,6 +121,8 @@ def written(kept: Kept) -> list[str]:
 def _own(kept: Kept, there: list[str]) -> Iterator[str]:
     if kept.kind == ACCEPTANCE:
         yield from filter(_OF_AN_ACCEPTANCE.fullmatch, there)
+    elif kept.kind == LIVE:
+        yield from filter(_OF_A_SESSION.fullmatch, there)
     elif kept.kind == FAULTS or (FAULTS_CELLS in there and JOURNAL not in there):
         yield from filter(_OF_FAULTS.fullmatch, there)
     elif kept.kind == COMMISSIONING:
