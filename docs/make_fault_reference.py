@@ -113,7 +113,9 @@ devices = ["tracker", "imu"]         # no others
 * **On a wall without a tether** only
   {WALL};
   of the servo bus {SERVOS}, for 1 s at most; none of fan and propellers. At any time one of
-  {SEES} has no fault. A motion leads at most {TRAVEL:g} m away.
+  {SEES} has no fault; load cells count only where the fan holds the robot
+  without propellers that do not report their push. All motions together lead at most {TRAVEL:g} m away, by
+  the sensors that have no fault at the time; farther on the robot is stopped (`injected_travel`).
 * **A fault ends when the robot is stopped**, whatever stops it, and before HELD is judged. It exists in
   the bench's own process only.
 * A fault that hits no message is an error of the run or the test. `injected` of `result.json`, and the
@@ -121,9 +123,8 @@ devices = ["tracker", "imu"]         # no others
 * Power and content are not of the link: `off`, `brownout`, `reset`, `stuck`, `wrong` and `jump` are
   refused. `silent` withholds what the device sends. A single servo or encoder has no link of its own.
 
-On a CAN bus with several nodes a fault of one device also hits the frames of the others that its driver
-receives. A PASS with faults at the link says nothing about faults of the power. No real device has been
-tried.
+On a CAN bus with several nodes a fault hits the frames of the named device only. A PASS with faults at the
+link says nothing about faults of the power. No real device has been tried.
 
 This page is written by `docs/make_fault_reference.py` from the declarations of the devices.
 """

@@ -9,10 +9,11 @@ import numpy as np
 
 from hil.bench.device_within import DeviceWithin
 from hil.bench.drivers import model_of
+from hil.bench.injected_travel import TravelBound, seeing_a_slide
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import FaultNotSupportedError, UsageError
-from hil.core.interfaces import Device
+from hil.core.interfaces import Device, Sink
 from hil.fakes.world import random_stream
 from hil.faults import permission
 from hil.faults.at_the_link import LinkFaults
@@ -65,12 +66,11 @@ def check_links(config: BenchConfig, faults: Sequence[Fault], *, consent: bool) 
                 expected=f"{whole}:{fault.kind}",
             )
     real = {name: table for name, table in config.devices().items() if name not in config.emulated()}
-    others = config.elsewhere()
     permission.check(
         faults,
         bench=config.name,
         wires={name: model_of(config, name).wire_of(table) for name, table in real.items()},
-        seeing=[n for n in permission.SEES_A_SLIDE if n in config.devices() and n not in others],
+        seeing=seeing_a_slide(config),
         named=config.faults.devices,
         most=config.faults.real,
         present=permission.situation(on_wall=config.environment.on_wall, tethered=config.safety.tethered),
@@ -95,6 +95,17 @@ class Injection:
         self._links: list[LinkFaults] = []
         self._world_ns: Callable[[], int] = lambda: 0
         self._ended_ns: int | None = None
+        on_wall = config.environment.on_wall and not config.safety.tethered
+        self._bound = (
+            TravelBound(config, self._acts, lambda: self._plan.empty) if faults and on_wall else None
+        )
+
+    def sinks(self) -> tuple[Sink, ...]:
+        """Sinks that stop a robot that has gone too far."""
+        return () if self._bound is None else (self._bound,)
+
+    def _acts(self, name: str) -> bool:
+        return bool(self._plan.active(name, self._world_ns()))
 
     def follow(self, world_ns: Callable[[], int]) -> None:
         """Take the time since the bench was opened, ns, from this function."""
@@ -128,14 +139,13 @@ class Injection:
         Raises:
             UsageError: names the distance and the limit.
         """
-        if not self._faults or not self._config.environment.on_wall or self._config.safety.tethered:
+        if self._bound is None or self._plan.empty:
             return
         times = np.linspace(0.0, trajectory.duration_s, _TIMES)
-        places = trajectory.sample_many(times)[0][:, :2]
-        travel_m = float(np.linalg.norm(places - places[0], axis=1).max())
+        travel_m = self._bound.farthest_m(trajectory.sample_many(times)[0][:, :2])
         if travel_m > permission.LONGEST_TRAVEL_M:
             raise UsageError(
-                f"the trajectory leads {travel_m:.2f} m away, with faults in front of real devices on a wall",
+                f"the trajectory leads {travel_m:.2f} m away from where the first motion began, with faults in front of real devices on a wall",
                 expected=f"at most {permission.LONGEST_TRAVEL_M:g} m",
                 remedy="drive a shorter motion, or put the robot on a tether",
             )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, TypeVar
 
 import can
@@ -78,14 +79,18 @@ class CanLink:
         device: name in errors.
         config: table with `interface`, `channel`, `bitrate` and `options`.
         clock: the bench clock.
+        own: function from the identifier of a frame (`frame_key`) to True if the device sends it: only those
+            have the faults that are injected in front of the device. By default all have.
 
     Attributes:
         error: latest error of the interface; empty for nothing.
         error_frames: number of error frames since `open`.
     """
 
-    def __init__(self, device: str, config: Any, clock: Clock) -> None:
-        self._device, self._config, self._clock = device, config, clock
+    def __init__(
+        self, device: str, config: Any, clock: Clock, own: Callable[[int], bool] = lambda key: True
+    ) -> None:
+        self._device, self._config, self._clock, self._own = device, config, clock, own
         self._bus: OpenBus | None = None
         self._reader: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -120,8 +125,12 @@ class CanLink:
             self._reader.start()
 
     def _opened(self) -> OpenBus:
-        bus: OpenBus = with_faults(OpenBus(open_bus(self._device, self._config)), FaultyBus, self._faults)
+        opened = OpenBus(open_bus(self._device, self._config))
+        bus: OpenBus = with_faults(opened, partial(FaultyBus, own=self._is_own), self._faults)
         return bus
+
+    def _is_own(self, message: can.Message) -> bool:
+        return self._own(frame_key(message.arbitration_id, message.is_extended_id))
 
     def close(self) -> None:
         """Close the bus. Idempotent; never raises."""

@@ -28,7 +28,7 @@ class CanSensor(StreamingSensor[C, S]):
 
     def __init__(self, config: C, clock: Clock) -> None:
         super().__init__(config, clock)
-        self._link = CanLink(self.name, config, clock)
+        self._link = CanLink(self.name, config, clock, lambda key: key in self._ids)
         self._frames: dict[int, bytes] = {}
         self.malformed = 0
 

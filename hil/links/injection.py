@@ -212,10 +212,13 @@ class FaultyBus:
     Args:
         bus: open bus (`hil.links.can_interface.OpenBus`).
         faults: faults of the device.
+        own: function from a frame to True if the device sends it; the frames of others pass at once.
     """
 
-    def __init__(self, bus: Any, faults: LinkFaults) -> None:
-        self._bus, self._faults = bus, faults
+    def __init__(
+        self, bus: Any, faults: LinkFaults, own: Callable[[Any], bool] = lambda message: True
+    ) -> None:
+        self._bus, self._faults, self._own = bus, faults, own
         self._later = HeldBack[Any](faults)
         self.send, self.shut = bus.send, bus.shut
 
@@ -231,6 +234,8 @@ class FaultyBus:
             left_s = max(0.0, (end_ns - now_ns) / NS_PER_S)
             message = self._bus.receive(min(left_s, _POLL_S) if self._later else left_s)
             if message is not None:
+                if not self._own(message):
+                    return message
                 self._queue(message)
             elif now_ns >= end_ns:
                 return None

@@ -22,6 +22,7 @@ from hil.core.registry import kinds
 from hil.core.signals import Status
 from hil.fakes.world import VirtualClock
 from hil.faults.fault import parse_fault
+from hil.recording.runs import RunStart
 from hil.robot.trajectories import line
 
 
@@ -103,6 +104,37 @@ def test_with_faults_a_robot_on_a_wall_is_not_led_far():
         bench.check(line((0, 0, 0), (0.29, 0, 0), duration_s=9.0))
         with pytest.raises(UsageError, match=r"0\.31 m away"):
             bench.check(line((0, 0, 0), (0.31, 0, 0), duration_s=9.0))
+
+
+def test_the_way_counts_over_all_motions_with_faults():
+    with bench_with("imu:drop@1,probability=0.05") as bench:
+        bench.drive(line((0, 0, 0), (0.2, 0, 0), duration_s=6.0), start_pose=(0, 0, 0))
+        bench.check(line((0.2, 0, 0), (0.29, 0, 0), duration_s=9.0))
+        with pytest.raises(UsageError, match=r"0\.36 m away"):
+            bench.check(line((0.2, 0, 0), (0.36, 0, 0), duration_s=9.0))
+        bench.look()  # ends the faults
+        bench.check(line((0.2, 0, 0), (0.36, 0, 0), duration_s=9.0))
+
+
+@pytest.mark.parametrize(
+    "specs",
+    [
+        ("imu:drop@1,probability=0.05",),
+        ("mocap:drop@1,probability=0.5",),
+        ("tracker:delayed@1,delay_s=0.01", "mocap:delayed@1,delay_s=0.01"),
+    ],
+)
+def test_a_robot_that_goes_too_far_with_faults_is_stopped_whatever_drives_it(specs):
+    goal = line((0, 0, 0), (0.6, 0, 0), duration_s=14.0)
+    with bench_with(*specs) as bench:
+        start = RunStart(bench.start_state((0, 0, 0)), "ekf", bench.config.control.law, (), goal.to_mapping())
+        pipeline = bench.make_pipeline(goal, feedback="ekf")
+        bench.rig.actuators().enable()
+        with pytest.raises(SafetyStop, match="since its first motion"):
+            bench.run(pipeline, start, lambda record: False)
+        gone_m = bench.truth().pose_body_in_wall[0]
+    assert 0.3 < gone_m < 0.34
+    assert bench.held.state == "HELD"
 
 
 REAL = {"imu.backend": "real", "imu.port": "/dev/no-such-port"}

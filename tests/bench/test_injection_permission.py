@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from hil.bench.injected_travel import cells_suffice, seeing_a_slide
+from hil.config.loading import load_bench
 from hil.core.errors import FaultNotSupportedError
 from hil.faults.fault import parse_fault
 from hil.faults.permission import check
@@ -109,3 +113,29 @@ def test_on_a_wall_the_servos_answer_again_within_a_second(spec, allowed):
 def test_on_a_wall_one_sensor_that_sees_a_slide_has_no_fault_at_any_time(specs, allowed):
     assert (not refused(*specs)) is allowed
     assert not refused(*specs, present="tethered")
+
+
+TIMES = st.tuples(st.integers(1, 20), st.none() | st.integers(1, 20))
+
+
+@given(
+    plans=st.lists(st.tuples(st.sampled_from(("tracker", "mocap", "load_cells", "imu")), TIMES), max_size=6)
+)
+def test_a_plan_is_refused_exactly_where_at_some_time_no_sensor_sees_a_slide(plans):
+    specs = [f"{name}:silent@{at}" + (f"+{lasts}" if lasts else "") for name, (at, lasts) in plans]
+    struck = [
+        {name for name, (at, lasts) in plans if at <= t and (lasts is None or t < at + lasts)}
+        for t in range(50)
+    ]
+    blind = any({"tracker", "mocap", "load_cells"} <= names for names in struck)
+    assert bool(refused(*specs)) is blind
+
+
+def test_load_cells_count_only_where_nothing_that_they_do_not_feel_carries_the_robot():
+    unheard = load_bench("emulated")
+    heard = load_bench("emulated", overrides={"thrust": {"backend": "emulated", "model": "vesc"}})
+    strong = load_bench("emulated", overrides={"adhesion.force_n": 95.0, "adhesion.rated_force_n": 120.0})
+    assert not cells_suffice(unheard)  # propellers that say nothing carry a part of the weight
+    assert cells_suffice(heard)
+    assert cells_suffice(strong)
+    assert seeing_a_slide(unheard) == ("tracker", "mocap")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -23,8 +24,9 @@ from hil.faults import permission
 from hil.faults.at_the_link import LinkFaults
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan
+from hil.links.can_bus import CanLink
 from hil.links.framing import FRAMINGS, messages
-from hil.links.injection import FaultyBus, FaultyDatagrams, FaultyPort
+from hil.links.injection import FaultyBus, FaultyDatagrams, FaultyPort, in_front_of
 
 PROFILE, SECONDS = "emulated_floor", 6.0
 
@@ -172,6 +174,13 @@ class Now:
         raise AssertionError("a read without timeout does not wait")
 
 
+class Still(Now):
+    """A clock of a computer whose bus no thread reads."""
+
+    def wall_offset(self):
+        return None
+
+
 def faulty(port: Port, spec: str) -> tuple[FaultyPort, FaultPlan]:
     plan = FaultPlan([parse_fault(spec)])
     kinds = tuple(permission.BY_WIRE["serial"])
@@ -218,6 +227,24 @@ def frame(data):
 
 def datagram(data):
     return Datagram(data, ("127.0.0.1", 1), 0)
+
+
+def test_on_a_shared_can_bus_only_frames_of_the_device_have_its_faults():
+    table = SimpleNamespace(interface="virtual", channel="shared", bitrate=500_000, options={})
+    plan, hit = FaultPlan([parse_fault("encoders:silent@0")]), []
+    faults = LinkFaults(plan, "encoders", np.random.default_rng(1), ("silent",), Still(), lambda: 1)
+    link = CanLink("encoders", table, Still(), lambda key: key == 0x1A0)
+    with can.Bus(interface="virtual", channel="shared") as nodes:
+        with in_front_of(faults):
+            link.open()
+        for end in (lambda: None, plan.clear):
+            end()
+            for frame_id, extended in ((0x1A0, False), (0x1A0, True), (0x2B0, False)):
+                nodes.send(can.Message(arbitration_id=frame_id, is_extended_id=extended, data=b"12"))
+            hit.append([(m.arbitration_id, m.is_extended_id) for _, m in link.take()])
+        link.close()
+    assert hit == [[(0x1A0, True), (0x2B0, False)], [(0x1A0, False), (0x1A0, True), (0x2B0, False)]]
+    assert faults.hit == {"encoders:silent@0": 1}
 
 
 @pytest.mark.parametrize(("wrapped", "make"), [(FaultyBus, frame), (FaultyDatagrams, datagram)])

@@ -86,6 +86,7 @@ class HeldDevices:
         self._not_looked_at("the bench is open, and bench.look() was not called")
         try:
             self.pressed = Preload(self.config, self.rig, self.clock).hold()
+            self._sinks += [*self.injection.sinks()]
             self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self.model, self.rig)]
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()

@@ -45,7 +45,7 @@ class DaemonMotor(Holding[S], Generic[C, S]):
 
     def __init__(self, config: C, clock: Clock, make_commander: MakeCommander | None = None) -> None:
         self._config, self._clock, self._make_commander = config, clock, make_commander or FailoverClient
-        self._link = CanLink(self.name, config, clock)
+        self._link = CanLink(self.name, config, clock, self._is_own)
         self._commander: MotorCommander | None = None
         self._identity: dict[str, str] = {}
         self._forget()
@@ -81,6 +81,10 @@ class DaemonMotor(Holding[S], Generic[C, S]):
     @abstractmethod
     def _greet(self, spec: Spec) -> dict[str, str]:
         """Find the controller on the open bus and check its settings; returns its identity."""
+
+    @abstractmethod
+    def _is_own(self, key: int) -> bool:
+        """Whether a frame, by its `frame_key`, is a report of the motor's controller."""
 
     @abstractmethod
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> S | None:

@@ -67,6 +67,9 @@ class VescFan(MotorFan[VescConfig]):
             "firmware": self._answers.firmware or "not reported",
         }
 
+    def _is_own(self, key: int) -> bool:
+        return key in self._reports
+
     def _report(self, message: can.Message) -> Report | None:
         if message.arbitration_id not in self._reports or not message.is_extended_id:
             return None

@@ -75,7 +75,7 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def __init__(self, config: EncodersConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock
-        self._link = CanLink(self.name, config, clock)
+        self._link = CanLink(self.name, config, clock, self._is_own)
         self._resumed_at = 0
         self._identity: dict[str, str] = {}
         self._silence_timer, self._yellow_mode = SilenceTimer(config.fail_after_s), config.yellow_mode
@@ -183,6 +183,9 @@ class As5045Encoders(Sensor[EncoderSample]):
         if self._sequence is not None and now_ns - self._arrival_ns > self._over_ns:
             taken.append(self._cut_short(now_ns))
         return [sample for sample in taken if sample is not None]
+
+    def _is_own(self, key: int) -> bool:
+        return key in self._layout or key == self.node_status.key
 
     @property
     def _port(self) -> str:

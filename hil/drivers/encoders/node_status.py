@@ -93,6 +93,7 @@ class NodeStatus:
 
     Attributes:
         heard: True once a status frame has come.
+        key: identifier of the status frame (`frame_key`); -1 for none.
         counted: errors that the node has counted since its first status frame, in words.
 
     Raises:
@@ -102,14 +103,14 @@ class NodeStatus:
     def __init__(self, config: EncodersConfig) -> None:
         found = [m for m in load_database(config.dbc_path).messages if m.name == _MESSAGE]
         self._message: Any = found[0] if found else None
-        self._key = key_of_message(found[0], config.node_id, config.dbc_path) if found else -1
+        self.key = key_of_message(found[0], config.node_id, config.dbc_path) if found else -1
         self._first: dict[str, int] = {}
         self._latest: dict[str, int] = {}
 
     def take(self, message: can.Message) -> bool:
         """Use a frame if it is the node's status; returns whether it is."""
         key = frame_key(message.arbitration_id, message.is_extended_id)
-        if key != self._key or message.is_remote_frame or message.is_error_frame:
+        if key != self.key or message.is_remote_frame or message.is_error_frame:
             return False
         if message.dlc == self._message.length:
             self._latest = self._message.decode(bytes(message.data), decode_choices=False)

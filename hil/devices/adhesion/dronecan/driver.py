@@ -16,7 +16,7 @@ from hil.devices.adhesion.dronecan.dronecan_library import Receiver, frames_of, 
 from hil.drivers.adhesion.can_fan import Figures, MotorFan
 from hil.fan_daemon.commander import MakeCommander, finding
 from hil.fan_daemon.spec import Spec
-from hil.links.can_bus import remedy_of_silence
+from hil.links.can_bus import STANDARD_IDS, remedy_of_silence
 from hil.links.dronecan.frames import EscStatus, StatusReader
 from hil.links.steady_volts import SteadyVolts
 
@@ -24,6 +24,8 @@ _WAIT_S = 0.01
 _ASK_NS = nanoseconds(0.1)
 _KELVIN = 273.15
 _MOST_LISTED = 8
+_NODE = 0x7F
+"""Bits of an identifier that name the node that sends the frame."""
 _PRIORITY = 30
 
 
@@ -130,6 +132,9 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
             remedy=remedy_of_silence(self.name, self._config, "the controller")
             + ", and that it speaks DroneCAN (VESC Tool: CAN Mode UAVCAN)",
         )
+
+    def _is_own(self, key: int) -> bool:
+        return key >= STANDARD_IDS and key & _NODE == self._config.node_id
 
     def _report(self, message: can.Message) -> EscStatus | None:
         report, config = self._reader.take(message.arbitration_id, message.data), self._config

@@ -117,6 +117,9 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
             self._carry_out(now_ns)
         return tuple(samples)
 
+    def _is_own(self, key: int) -> bool:
+        return key in self._reports
+
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> ThrustSample | None:
         if message.arbitration_id not in self._reports or not message.is_extended_id:
             return None
