@@ -97,7 +97,7 @@ class TravelBound(Sink):
         )
 
     def farthest_m(self, places: Sequence[Array] | Array) -> float:
-        """Largest distance of planned places, (n, 2) m in the wall frame, from where the first motion began."""
+        """Largest distance of planned places, (n, 2) m in the wall frame, from the first motion's begin."""
         planned = np.asarray(places)
         first = planned[0] if self.began_at is None else self.began_at
         return float(np.linalg.norm(planned - first, axis=1).max())

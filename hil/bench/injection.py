@@ -145,7 +145,8 @@ class Injection:
         travel_m = self._bound.farthest_m(trajectory.sample_many(times)[0][:, :2])
         if travel_m > permission.LONGEST_TRAVEL_M:
             raise UsageError(
-                f"the trajectory leads {travel_m:.2f} m away from where the first motion began, with faults in front of real devices on a wall",
+                f"the trajectory leads {travel_m:.2f} m away from where the first motion began, with faults "
+                "in front of real devices on a wall",
                 expected=f"at most {permission.LONGEST_TRAVEL_M:g} m",
                 remedy="drive a shorter motion, or put the robot on a tether",
             )
