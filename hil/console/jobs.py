@@ -44,7 +44,9 @@ _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answer
 """Keys of a JSON line on standard error, with the type of the value."""
 _BY_ITSELF = ("duration", "trajectory")
 """Reasons for which a live loop ends without being stopped."""
-_TAIL_BYTES = 1 << 17
+LIVE = b'{"live": '
+"""Begin of a line on standard error with figures of the loop."""
+_TAIL_BYTES = 1 << 19
 _MOST_SHOWN = 30
 _STOPPING_S = 2.0
 """Time after STOP within which no question is answered."""
@@ -258,8 +260,12 @@ def state(job: Job) -> dict[str, Any]:
         "messages": [],
         "events": [],
     }
-    for place, line in _tail(job.folder / STDERR):
-        _take(reported, place, line)
+    lines = _tail(job.folder / STDERR)
+    live = [place for place, line in lines if line.startswith(LIVE.decode())]
+    passed = frozenset(live[:-2])  # the last may be half written
+    for place, line in lines:
+        if place not in passed:
+            _take(reported, place, line)
     del reported["messages"][:-_MOST_SHOWN]
     if not running or (job.folder / f"{ANSWER}{reported['question_id']}").exists():
         reported |= {"question": None, "question_id": None}

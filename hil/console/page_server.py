@@ -18,6 +18,7 @@ from hil.config.loading import load_bench
 from hil.console import jobs
 from hil.console.command_forms import Action
 from hil.console.job_stopping import finish
+from hil.console.past_figures import past
 from hil.console.stop_server import asset
 from hil.console.web_server import NAMES, Refused, Reply, Request, Route, as_json
 from hil.core.errors import DataError, HilError, reason_of
@@ -31,6 +32,8 @@ from hil.report.history.query import chosen, named
 RESULTS, PAGES = "/results/", "/pages/"
 _MOST_RESULTS = 200
 _SHOWN_JOBS = 6
+_PATH_POINTS, _PLOTTED = 2000, 120
+"""Largest number of positions of a path, and number of the last figures for the plots."""
 _SANDBOX = {
     "Content-Security-Policy": "sandbox allow-scripts allow-popups allow-downloads; default-src 'none'; "
     "img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'"
@@ -101,6 +104,7 @@ class PageProcess:
         asked: dict[tuple[str, str], Route] = {
             ("GET", "/api/offer"): self._offer,
             ("GET", "/api/state"): self._state,
+            ("GET", "/api/past"): self._past,
             ("GET", "/api/bench"): self._devices,
             ("GET", "/api/results"): self._history,
             ("POST", "/api/start"): self._start,
@@ -138,6 +142,10 @@ class PageProcess:
             self._ended[job.name] = state
         return self._ended[job.name]
 
+    def _past(self, request: Request) -> Reply:
+        """What a page that was opened later has missed."""
+        return as_json(past(self._named(request.query.get("job", "")), _PATH_POINTS, _PLOTTED))
+
     def _link(self, state: Mapping[str, Any]) -> str | None:
         """Address of the page that a job has left."""
         page = state.get("report") or state.get("page")
@@ -168,7 +176,9 @@ class PageProcess:
         return as_json({"job": job.name})
 
     def _one(self, request: Request) -> jobs.Job:
-        name = str(request.body.get("job"))
+        return self._named(str(request.body.get("job")))
+
+    def _named(self, name: str) -> jobs.Job:
         found = next((job for job in jobs.jobs(self._jobs) if job.name == name), None)
         if found is None:
             raise Refused(HTTPStatus.NOT_FOUND, "there is no such run")

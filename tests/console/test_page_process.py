@@ -4,6 +4,7 @@ import json
 import os
 from http import HTTPStatus
 
+import numpy as np
 import pytest
 
 from hil.console import jobs
@@ -173,3 +174,19 @@ def test_the_devices_of_a_bench_are_reported_and_a_bench_that_is_wrong_is_named(
     assert {row["backend"] for row in reported["devices"]} == {"emulated"}
     with pytest.raises(Refused, match="nothing_like_that"):
         page("GET", "/api/bench", name="nothing_like_that")
+
+
+def test_a_page_that_is_opened_later_learns_the_whole_path(page):
+    lines = [{"live": {"t_s": n / 2, "pose": [n / 100, n / 200, 0.0]}} for n in range(5001)]
+    lines += [{"live": {"t_s": 2501.0, "pose": [None, None, None]}}, {"progress": {"what": "x"}}]
+    said = "\n".join(map(json.dumps, lines)) + '\n{"live": {"t_s": 25'
+    job = job_in(page.results / "console" / "jobs", err=said)
+    found = tree(page("GET", "/api/past", job=job.name))
+    places = np.array(found["path"])
+    assert 1000 < len(places) <= 2000
+    assert places[0].tolist() == [0.0, 0.0]
+    assert places[-1, 0] == pytest.approx(50.0, abs=0.05)
+    assert np.allclose(np.diff(places[:, 0]), places[1, 0]), "evenly thinned"
+    assert [figures["t_s"] for figures in found["latest"]][-2:] == [2500.0, 2501.0]
+    with pytest.raises(Refused, match="no such run"):
+        page("GET", "/api/past", job="../x")

@@ -3,7 +3,7 @@
 let offer = null;
 let shown = "";
 let trail = [];
-let trailOf = "";
+let shownJob = "";
 let wasRunning = false;
 const IDLE = "Nothing has been started here yet.";
 const SETTLE_MS = 700;
@@ -185,6 +185,7 @@ let force = null;
 
 function live(job) {
   const now = job.live;
+  if (shownJob !== job.name) begun(job);
   if (now.adhesion_n !== null) force = [now.adhesion_n, now.adhesion_needed_n];
   const figures = [
     ["x (up a wall)", known(now.pose[0], mm)], ["y (across it)", known(now.pose[1], mm)],
@@ -197,11 +198,19 @@ function live(job) {
   at("wheels").replaceChildren(...table(["wheel", "turns", "steered"], wheels));
   at("streams").replaceChildren(...table(["device", "samples since the last look", "state"],
     Object.entries(now.devices).map(([name, d]) => [name, String(d.samples), d.status])));
-  map(job, now);
+  map(now);
 }
 
-function map(job, now) {
-  if (trailOf !== job.name) [trail, trailOf, force] = [[], job.name, null];
+// Of a job that ran before this page was opened, or reloaded, the console knows what was.
+async function begun(job) {
+  [trail, shownJob, force] = [[], job.name, null];
+  try {
+    const past = await call(`/api/past?job=${encodeURIComponent(job.name)}`);
+    if (shownJob === job.name) trail = [...past.path, ...trail];
+  } catch (error) { say(error); }
+}
+
+function map(now) {
   const [x, y, heading] = now.pose;
   if (x === null || y === null) return;
   const last = trail.at(-1);
