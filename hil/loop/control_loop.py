@@ -205,9 +205,11 @@ class ControlLoop:
             supervisor = self.pipeline.supervisor
             if isinstance(stop, SafetyStop) and presses_harder(stop.reason, supervisor.checks.hold):
                 self.rig.brace()
-            if supervisor.slide is not None and supervisor.slide.push_n is not None:
-                self.rig.push(supervisor.slide.push_n)
-            event = Event(inputs.t_ns, "error", source, str(stop))
+            events = [Event(inputs.t_ns, "error", source, str(stop))]
+            if supervisor.slide is not None and supervisor.slide.push is not None:
+                refused = self.rig.push(supervisor.slide.push, falls=supervisor.fall.falls)
+                message = f"the propellers are not raised: {refused}"
+                events += [Event(inputs.t_ns, "warning", "thrust", message)] * bool(refused)
             zero = np.zeros(4)
             nothing = Measurements(inputs.cycle, inputs.t_ns, added=inputs.added)
             figures = {} if source == OUTSIDE else dict(self.pipeline.figures)
@@ -224,7 +226,7 @@ class ControlLoop:
                 self.pipeline.reference,
                 WheelSetpoint(zero, zero),
                 ServoSetpoint(zero, zero),
-                (event,),
+                tuple(events),
                 external=self.pipeline.heard,
             )
             for sink in self.sinks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -12,6 +13,7 @@ from hil.core.errors import DeviceError, HilError
 from hil.core.interfaces import Actuators, Device, Holding, Sensor
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, Inputs
+from hil.loop.checks.adhesion_limits import SlidePush
 from hil.support.lost_time import LostTime
 
 _SLOW_NS = 10_000_000
@@ -32,6 +34,7 @@ class DeviceSet:
         sensors: the other devices by kind, in the order in which they are opened and read; devices that hold
             the robot (`DeviceKind.holds_robot`) are among them, and come first.
         lost: counts the time that this computer takes from the loop; None in virtual time.
+        lowered_n: set-point of propellers that were lowered against a slide, N; inf where they were not.
     """
 
     clock: Clock
@@ -39,6 +42,7 @@ class DeviceSet:
     sensors: Mapping[str, Sensor[Any]] = field(default_factory=dict)
     lost: LostTime | None = None
     disarm: Callable[[], None] = lambda: None
+    lowered_n: float = math.inf
 
     def get(self, kind: str) -> Any:
         """The device of a kind; None if the bench has none."""
@@ -101,12 +105,30 @@ class DeviceSet:
             if kinds()[kind].holds_robot:
                 cast("Holding[Any]", device).brace()
 
-    def push(self, force_n: float) -> None:
-        """Command a force of the propellers against a slide. Never raises."""
+    def push(self, push: SlidePush, *, falls: bool) -> str:
+        """Command a force of the propellers against a slide. Never raises an exception.
+
+        Propellers that were lowered against a slide push by more than is asked: they are not raised again. No
+        push holds a robot that has come off.
+
+        Args:
+            push: set-point against the slide.
+            falls: True if the accelerometer feels clearly less than the weight.
+
+        Returns:
+            Reason for which the propellers were not raised; empty if they were set.
+        """
         propellers = self.get("thrust")
-        if propellers is not None:
-            with contextlib.suppress(HilError):
-                propellers.set_force_n(force_n)
+        if propellers is None:
+            return ""
+        if push.raises and (falls or math.isfinite(self.lowered_n)):
+            return "the robot falls" if falls else "they were lowered against a slide before"
+        force_n = min(push.force_n, self.lowered_n)
+        if not push.raises:
+            self.lowered_n = force_n
+        with contextlib.suppress(HilError):
+            propellers.set_force_n(force_n)
+        return ""
 
     def actuators(self) -> Actuators:
         """The servos. Raises `DeviceError` if the bench has none."""

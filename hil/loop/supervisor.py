@@ -48,6 +48,7 @@ class Supervisor:
         in_order: the checks, the most serious first: the first reason to stop names the stop.
         left_out: devices that are excluded.
         observers: check of the estimates that are not followed.
+        fall: check for a fall by IMU and camera.
         slide: check for slides by two sensors; None for a robot that cannot fall.
         last: data from the previous cycle.
     """
@@ -80,8 +81,9 @@ class Supervisor:
         if own.estimate is not None:
             own.estimate.excluded, own.estimate.holders = self.left_out, tuple(self._holders)
             own.estimate.advice = look_at(self._holders, "if it slides, look")
+        self.fall = FallCheck(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders)
         found: list[Check | None] = [
-            FallCheck(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders),
+            self.fall,
             own.hold,
             own.weight,
             self._pace,

@@ -7,11 +7,16 @@ import pytest
 from wrong_numbers import BRIEF, Case, drive
 
 import hil
+from hil.core.clock import nanoseconds
 from hil.core.errors import HilError
+from hil.loop.checks.adhesion_limits import SlidePush
 from hil.procedure.faults.possible_hold import LOST_M, can_be_held, slides_m
 from hil.robot.trajectories import line
 
 IN_MOTION_S, IN_THE_CHECK_S = 1.5, 3.6
+ASKED_N = 0.7 * 3.25 * 9.81
+"""Push that the shipped bench asks for: 0.7 of the weight."""
+SETTLES_NS = nanoseconds(1.0)
 
 
 @pytest.mark.parametrize("plant", ["own", "mujoco"])
@@ -23,6 +28,30 @@ def test_propellers_that_push_wrongly_are_set_against_the_slide(factor, at_s, pl
     assert not end.fallen
     assert end.held.state == "HELD"
     assert end.moved_m < 0.001
+
+
+@pytest.mark.parametrize("plant", ["own", "mujoco"])
+@pytest.mark.parametrize("at_s", [0.0, IN_MOTION_S, IN_THE_CHECK_S])
+@pytest.mark.parametrize("factor", [3.0, 4.0])
+def test_propellers_that_throw_a_robot_off_are_not_raised_while_it_falls(factor, at_s, plant):
+    keys = {**BRIEF, "emulation.plant": plant, "load_cells": None}
+    end = drive(Case("", keys, (f"thrust:wrong@{at_s},factor={factor}",)), seed=8900)
+    assert end.fallen
+    assert end.thrust_n < 1.05 * factor * ASKED_N
+
+
+def test_propellers_are_not_raised_in_a_fall_nor_once_they_were_lowered_against_a_slide():
+    raised, lowered, less_lowered = SlidePush(35.0, True), SlidePush(15.0, False), SlidePush(20.0, False)
+    orders = [(raised, True), (raised, False), (lowered, True), (raised, False), (less_lowered, False)]
+    bench = hil.open_bench("emulated", seed=8903, overrides=BRIEF)
+    given_n, refused = [], []
+    with bench:
+        for push, falls in orders:
+            refused.append(bool(bench.rig.push(push, falls=falls)))
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + SETTLES_NS)
+            given_n.append(bench.truth().thrust_n)
+    assert refused == [True, False, False, True, False]
+    assert given_n == pytest.approx([ASKED_N, 35.0, 15.0, 15.0, 15.0], rel=0.05)
 
 
 @pytest.mark.parametrize("spec", ["tracker:wrong@1.3,drift_x_m_s=-0.2", "mocap:wrong@1.3,offset_m=0.015"])

@@ -27,7 +27,7 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import HilError
 from hil.core.registry import kinds
 from hil.core.signals import LoadCellSample, Status, worst
-from hil.loop.checks.adhesion_limits import AdhesionLimits, FanForces
+from hil.loop.checks.adhesion_limits import AdhesionLimits, FanForces, SlidePush
 from hil.loop.checks.force_trend import ForceTrend
 from hil.loop.device_set import DeviceSet
 from hil.robot.believed_force import CELLS, UNCONFIRMED, Believed
@@ -256,12 +256,12 @@ class AdhesionForceCheck:
             return asked_n, ""
         return 0.0, f" without the propellers: they report nothing, and {_to_be_seen(left_s)}"
 
-    def push_against_n(self, along_m: float) -> float | None:
-        """Set-point of the propellers against a slide (m along body x), N; None where it stays as it is."""
+    def push_against(self, along_m: float) -> SlidePush | None:
+        """Set-point of the propellers against a slide (m along body x); None where it stays as it is."""
         if self._limits is None:
             return None
         force_n = min((n for _, n in self._forces.values()), default=math.nan)
-        return self._limits.push_against_n(along_m, force_n, self.heading_rad)
+        return self._limits.push_against(along_m, force_n, self.heading_rad)
 
     def feels(self, now_ns: int) -> bool:
         """Whether the load cells have measured the force recently; it is sufficient if `doubt` is empty."""

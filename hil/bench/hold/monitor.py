@@ -301,9 +301,9 @@ class HoldMonitor(Sink):
         if self._can_fall and self._pressed_ns is None and (slides or self._press.lacks):
             self._pressed_ns = now_ns
             self._rig.brace()
-        push_n = self._press.push_against_n(along_m) if self._can_fall else None
-        if push_n is not None:
-            self._rig.push(push_n)
+        push = self._press.push_against(along_m) if self._can_fall else None
+        if push is not None:
+            self._rig.push(push, falls=self._falls())
 
     def _grounds(self, t_ns: int, seen: Collection[str], places: Collection[str]) -> str:
         """Text with the evidence that the robot is held."""
@@ -443,10 +443,14 @@ class HoldMonitor(Sink):
             return ""
         return self._slide_unseen(seen)
 
+    def _falls(self) -> bool:
+        """Whether the accelerometer feels clearly less than the weight."""
+        return bool(self._felt_m_s2) and self._felt_m_s2[-1] < self._lightest_m_s2
+
     def _doubt_of_weight(self) -> str:
         """Why the accelerometer contradicts a robot at rest; empty if it does not."""
         felt = self._felt_m_s2
-        if felt and felt[-1] < self._lightest_m_s2:
+        if self._falls():
             return "the accelerometer feels less than the weight: adhesion is lost"
         middle = float(np.median(felt)) if len(felt) == _FELT else GRAVITY_M_S2
         if abs(middle - GRAVITY_M_S2) > _CALM_M_S2:

@@ -14,7 +14,7 @@ import math
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.interfaces import ReportStop
 from hil.core.signals import WHEELS, AdhesionSample, Event, Inputs, Status
-from hil.loop.checks.adhesion_limits import AdhesionLimits, FanForces
+from hil.loop.checks.adhesion_limits import AdhesionLimits, FanForces, SlidePush
 from hil.loop.checks.force_trend import ForceTrend
 from hil.loop.cycle_data import Check, Cycle, go_on
 from hil.robot.believed_force import CELLS, Believed, apart
@@ -111,9 +111,9 @@ class AdhesionWatch(Check):
         if self._fan is not None:
             self._judge_controller(self._fan, force_n, stop)
 
-    def push_against_n(self, along_m: float) -> float | None:
-        """Set-point of the propellers against a slide (m along body x), N; None where it stays as it is."""
-        return self.limits.push_against_n(along_m, self._believed.force_n, self.heading_rad)
+    def push_against(self, along_m: float) -> SlidePush | None:
+        """Set-point of the propellers against a slide (m along body x); None where it stays as it is."""
+        return self.limits.push_against(along_m, self._believed.force_n, self.heading_rad)
 
     def _forces(self) -> dict[str, float]:
         """The newest force by each measurement, N."""

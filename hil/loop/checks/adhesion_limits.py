@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hil.core.signals import AdhesionSample, LoadCellSample, Status, ThrustSample
 from hil.robot.believed_force import UNCONFIRMED, Believed, believe
@@ -13,6 +14,18 @@ from hil.robot.statics import Statics
 
 _EXCESS_SHARE, _LEAST_EXCESS = 0.15, 0.02
 """Tolerated excess of the propellers' push: as a share of the commanded push, at least of full push."""
+
+
+class SlidePush(NamedTuple):
+    """Set-point of the propellers against a slide.
+
+    Attributes:
+        force_n: set-point, N.
+        raises: True against a slide down, for which it is not lowered.
+    """
+
+    force_n: float
+    raises: bool
 
 
 @dataclass(frozen=True)
@@ -81,8 +94,8 @@ class AdhesionLimits:
             return math.nan
         return self.full_thrust_n * sample.throttle**2
 
-    def push_against_n(self, along_m: float, force_n: float, heading_rad: float) -> float | None:
-        """Set-point of the propellers against a slide (m along body x), N; None where it stays as it is.
+    def push_against(self, along_m: float, force_n: float, heading_rad: float) -> SlidePush | None:
+        """Set-point of the propellers against a slide (m along body x); None where it stays as it is.
 
         Args:
             along_m: slide, of which only the direction counts.
@@ -95,7 +108,7 @@ class AdhesionLimits:
         push_n = self.statics.push_against_slide_n(
             pressed_n, self.nominal_thrust_n, heading_rad, up=along_m > 0.0
         )
-        return min(push_n, self.full_thrust_n)
+        return SlidePush(min(push_n, self.full_thrust_n), raises=along_m < 0.0)
 
     def pushes_too_much(self, push_n: float) -> bool:
         """Whether the reported push exceeds the commanded one so far that it cannot be real.

@@ -40,6 +40,11 @@ class FallCheck(Check):
         """Clear the state of the run."""
         self._weightless = self._sliding = 0
 
+    @property
+    def falls(self) -> bool:
+        """Whether the accelerometer felt clearly less than the weight in its newest sample."""
+        return self._weightless > 0
+
     def on_samples(self, cycle: Cycle) -> None:
         """Check IMU and camera; the suspects are the devices that hold the robot."""
 

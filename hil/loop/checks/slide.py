@@ -14,6 +14,7 @@ from collections.abc import Collection
 
 from hil.core.clock import NS_PER_S
 from hil.loop.checks.adhesion import AdhesionWatch
+from hil.loop.checks.adhesion_limits import SlidePush
 from hil.loop.checks.dead_reckoning import Kept, Track, WheelTrack, moved, rolled
 from hil.loop.checks.mocap_agreement import PoseTrack
 from hil.loop.cycle_data import Check, Cycle
@@ -132,7 +133,7 @@ class SlideCheck(Check):
         advice: end of the message.
 
     Attributes:
-        push_n: set-point of the propellers after the stop; None where they are left as they are.
+        push: set-point of the propellers after the stop; None where they are left as they are.
     """
 
     def __init__(
@@ -146,7 +147,7 @@ class SlideCheck(Check):
         """Clear the state of the run."""
         self._slide.reset()
         self._commanded.reset()
-        self.push_n: float | None = None
+        self.push: SlidePush | None = None
 
     def on_samples(self, cycle: Cycle) -> None:
         """Compare the newest poses with the wheels."""
@@ -155,12 +156,12 @@ class SlideCheck(Check):
         along_m, found = self._slide.excess_m, "sensors_disagree" in cycle.stops
         if not (self._slide.certain or (found and abs(along_m) > _SLOW_M)):
             return
-        self.push_n = self._hold.push_against_n(along_m)
+        self.push = self._hold.push_against(along_m)
         way = f"{1e3 * abs(along_m):.0f} mm {'forwards' if along_m > 0.0 else 'backwards'}"
         message = (
             f"within {WINDOW_NS / NS_PER_S:g} s the robot slid {way} by camera and motion capture, and its "
             "wheels did not roll so"
         )
-        if self.push_n is not None:
-            message += f"; the propellers are set to {self.push_n:.1f} N against it"
+        if self.push is not None:
+            message += f"; the propellers are to push with {self.push.force_n:.1f} N against it"
         cycle.stop("sliding", message + self._advice, self._suspects)
