@@ -237,7 +237,7 @@ def calibrate(
     before = track_all(recordings, cad, setting.model, setting.signal)
     after = track_all(recordings, found.geometry, setting.model, setting.signal)
     rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
-    intervals = _intervals(found, cad, rivals)
+    intervals = _intervals(found, cad, choice, rivals)
     fitted_ns = clock.now_ns()
     paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None
     applied = deployed(recordings, found.geometry, cad, twist_between(found, cad), setting)
@@ -269,11 +269,18 @@ def calibrate(
     )
 
 
-def _intervals(found: Fit, cad: WheelGeometry, rivals: Sequence[Fit]) -> StandardErrors:
+def _intervals(
+    found: Fit, cad: WheelGeometry, choice: Choice | None, rivals: Sequence[Fit]
+) -> StandardErrors:
     """Standard errors of a fit, widened by the differences to the fits of rival models."""
-    return standard_errors(found, cad).with_rival_models(
-        found.solution.z, [(other.solution.z, standard_errors(other, cad)) for other in rivals]
-    )
+    own = standard_errors(found, cad)
+    if choice is None or not rivals:
+        return own
+    others = [
+        (choice.shares[rival.name], other.solution.z, standard_errors(other, cad))
+        for rival, other in zip(choice.rivals, rivals, strict=True)
+    ]
+    return own.with_rival_models(found.solution.z, choice.shares[choice.best.name], others)
 
 
 def _rival_fit(recordings: Sequence[Recording], rival: Candidate) -> Fit:

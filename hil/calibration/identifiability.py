@@ -207,18 +207,20 @@ class StandardErrors:
         variance = np.einsum("aij,ab,bij->ij", slopes, self.covariance, slopes)
         return np.asarray(np.sqrt(variance), dtype=np.float64)
 
-    def with_rival_models(self, z: Array, others: Sequence[tuple[Array, StandardErrors]]) -> StandardErrors:
-        """Standard errors where other forward models may be as right; each counts as equally likely.
+    def with_rival_models(
+        self, z: Array, own: float, others: Sequence[tuple[float, Array, StandardErrors]]
+    ) -> StandardErrors:
+        """Standard errors where other forward models may be right: the spread about z of all of them.
 
         Args:
             z: (m,) fitted parameters.
-            others: fitted parameters (m,) of the other models, and their standard errors.
+            own: probability of the model that was fitted.
+            others: probability, fitted parameters (m,) and standard errors of each other model.
         """
-        total = self.covariance + sum(
-            (one.covariance + np.outer(found - z, found - z) for found, one in others),
-            np.zeros_like(self.covariance),
-        )
-        return replace(self, covariance=total / (1 + len(others)))
+        total = own * self.covariance
+        for probability, found, one in others:
+            total = total + probability * (one.covariance + np.outer(found - z, found - z))
+        return replace(self, covariance=total / (own + sum(probability for probability, _, _ in others)))
 
 
 def standard_errors(fit: Fit, nominal: WheelGeometry) -> StandardErrors:

@@ -23,7 +23,7 @@ with a known law: `benchmarks/model_choice.py`.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -79,6 +79,7 @@ class Choice:
             candidate.
         confidence: probability of the law of `best` among those of all candidates.
         rivals: other candidates with a probability of at least 0.05.
+        shares: probability of each candidate, by name.
         groups: label of each recording; recordings with the same label were left out together.
         runs: odometry of each recording by the best candidate's fit without its group.
     """
@@ -89,6 +90,7 @@ class Choice:
     rivals: tuple[Candidate, ...] = ()
     groups: tuple[object, ...] = ()
     runs: tuple[Track, ...] = ()
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     def in_words(self) -> str:
         """One sentence for a report."""
@@ -173,7 +175,8 @@ def choose(
     first = max((k for k, c in enumerate(among) if c.law == law), key=lambda k: shares[k])
     rivals = tuple(c for k, c in enumerate(among) if k != first and shares[k] >= _RIVAL)
     named = {c.name: float(np.mean(m)) for c, m in zip(among, errors, strict=True)}
-    return Choice(among[first], named, laws[law], rivals, tuple(groups), tuple(runs[first]))
+    by_name = {c.name: share for c, share in zip(among, shares, strict=True)}
+    return Choice(among[first], named, laws[law], rivals, tuple(groups), tuple(runs[first]), by_name)
 
 
 def _simplest(laws: Mapping[str, float]) -> str:

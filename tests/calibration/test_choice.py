@@ -109,13 +109,20 @@ def test_models_that_may_be_as_right_are_in_the_intervals():
     recordings = make_set(robot, 3, ("line_x", "circle_ccw"), repetitions=2, run_to_run=0.2, slip_share=0.0)
     plain, creep = (make_setting("recommended", model=m) for m in ("exact", "creep"))
     best, rival = (Candidate(s.model, s, WheelGeometry.nominal()) for s in (plain, creep))
+    shares = {"exact": 0.6, "creep": 0.2}
     alone, beside = (
-        calibrate(recordings, plain, MonotonicClock(), choice=Choice(best, {}, 0.6, rivals), validate=False)
+        calibrate(
+            recordings,
+            plain,
+            MonotonicClock(),
+            choice=Choice(best, {}, 0.6, rivals, shares=shares),
+            validate=False,
+        )
         for rivals in ((), (rival,))
     )
     other = calibrate(recordings, creep, MonotonicClock(), validate=False)
     apart = alone.fit.solution.z - other.fit.solution.z
-    wanted = 0.5 * (alone.intervals.covariance + other.intervals.covariance + np.outer(apart, apart))
+    wanted = 0.75 * alone.intervals.covariance + 0.25 * (other.intervals.covariance + np.outer(apart, apart))
     np.testing.assert_allclose(beside.intervals.covariance, wanted, rtol=1e-9, atol=1e-18)
 
 
