@@ -107,6 +107,10 @@ real = "floor"                       # or "none" (default), "tethered", "wall"
 devices = ["tracker", "imu"]         # no others
 ```
 
+`hil faults --bench my.toml --inject-real` runs the matrix on real devices: each fault that the bench file
+permits, at four moments of a drive of 12 cm on the floor or on a tether. Without a fault the robot returns
+to its start after each cell, and motion capture takes the place of the emulated truth.
+
 {LINKS}
 * **Never towards a device.** Commands are neither altered nor lost. The fan's commands come from a
   process that has no faults.

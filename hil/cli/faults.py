@@ -1,11 +1,10 @@
-"""`hil faults`: every fault of every emulated device, judged: is the robot held, is the cause named."""
+"""`hil faults`: every fault of every device, judged: is the robot held, is the cause named."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from hil.cli.asked_faults import DEFAULTS, Asked, cells_at_links, on_devices
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import FAULT
 from hil.cli.interrupted_series import shown_when_ended
@@ -25,21 +25,6 @@ from hil.support.atomic_files import check_file
 
 if TYPE_CHECKING:
     from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts
-
-DEFAULTS = {"moments": "open,motion,stop,second", "plants": "own", "bench": "emulated"}
-
-
-@dataclass(frozen=True)
-class Asked:
-    """Options that choose the cells, as given."""
-
-    quick: bool
-    seeds: str
-    only: tuple[str, ...]
-    moments: str
-    plants: str
-    count: int | None
-    bench: str
 
 
 @click.command()
@@ -63,7 +48,7 @@ class Asked:
     type=click.IntRange(1, 100_000),
     help="Instead: this many runs with one to four faults at random moments.",
 )
-@bench_options("bench", bench={"default": DEFAULTS["bench"]})
+@bench_options("bench", "inject_real", bench={"default": DEFAULTS["bench"]})
 @click.option(
     "--workers",
     type=click.IntRange(0, 1000),
@@ -94,6 +79,9 @@ def command(
 ) -> int:
     """Every fault of every emulated device, at four moments of a climb, judged, on one page.
 
+    With --inject-real: those faults of real devices that [faults] of the bench file permits, one after the
+    other, in real time, on the floor or on a tether. The robot drives 12 cm and returns for each.
+
     With --configuration: one wrong number in the bench file after another (pole pairs of another motor, a
     mount turned by 90 degrees, left for right). Doctor, bring_up or a short climb have to name its key; where
     one that has an effect stays silent, it ends with 1. --only takes a key, or a table.
@@ -103,11 +91,11 @@ def command(
     if configuration:
         asked = Asked(quick, seeds, only, moments, plants, count, request.bench)
         return _configuration(asked, workers, out, resume, as_json)
-    from hil.procedure.faults import KeptVerdicts, missing, summary, write_faults, write_page
+    from hil.procedure.faults import KeptVerdicts, missing, run_cell, summary, write_faults, write_page
 
     began = datetime.now(timezone.utc).isoformat(timespec="seconds")
     bench = request.bench
-    asked = Asked(quick, seeds, only, moments, plants, count, bench)
+    asked = Asked(quick, seeds, only, moments, plants, count, bench, request.inject_real)
     cells = _cells(asked)
     check_file(out / FAULTS_PAGE)
     check_file(out / FAULTS_MATRIX)
@@ -134,7 +122,8 @@ def command(
             return f"{len(judged())} of {len(cells)} cells are judged"
 
         with shown_when_ended(finished, lambda: shown_path(write()) if judged() else ""):
-            _judge(missing(cells, kept.there), there, where, workers, kept)
+            run = on_devices(asked, where, workers) if asked.inject_real else partial(run_cell, bench=where)
+            _judge(missing(cells, kept.there), there, run, workers, kept)
     verdicts, page = judged(), write()
     failed = [v for v in verdicts if v.why]
     if as_json:
@@ -172,11 +161,15 @@ def _configuration(asked: Asked, workers: int, out: Path, resume: bool, as_json:
 
 
 def _judge(
-    cells: Sequence[Cell], there: dict[Cell, CellVerdict], bench: str, workers: int, kept: KeptVerdicts
+    cells: Sequence[Cell],
+    there: dict[Cell, CellVerdict],
+    run: Callable[[Cell], CellVerdict],
+    workers: int,
+    kept: KeptVerdicts,
 ) -> None:
     """Run these cells, report progress, and store every verdict at once, also in `there`."""
     from hil.procedure.campaign import spread
-    from hil.procedure.faults import lost, run_cell
+    from hil.procedure.faults import lost
 
     count = 0
     with reporting() as report:
@@ -191,7 +184,7 @@ def _judge(
                     click.echo(f"  told: {line}", err=True)
             report("cells", count, len(cells))
 
-        spread(partial(run_cell, bench=bench), cells, lost=lost, done=done, workers=workers)
+        spread(run, cells, lost=lost, done=done, workers=workers)
 
 
 def _cells(asked: Asked) -> tuple[Cell, ...]:
@@ -207,11 +200,13 @@ def _cells(asked: Asked) -> tuple[Cell, ...]:
     if sum((asked.quick, bool(asked.only), asked.count is not None)) > 1:
         raise UsageError("--quick, --only and --random exclude each other", expected="one of them")
     config = load_bench(asked.bench)
+    if asked.inject_real:
+        return cells_at_links(asked, config, worlds, moments)
     if real := [name for name in config.devices() if name not in config.emulated()]:
         raise UsageError(
             f"bench {config.name}: {', '.join(real)} cannot be real in a fault campaign",
             expected="every device emulated",
-            remedy="use --bench emulated",
+            remedy="use --bench emulated; --inject-real injects at the links of real devices",
         )
     for plant in physics:
         check_faults(load_bench(config, overrides={"emulation.plant": plant}), ())
@@ -240,6 +235,7 @@ def _shown(asked: Asked) -> str:
     """The command line that repeats this fault campaign."""
     parts = ["hil faults", f"--seeds {asked.seeds}"]
     parts += ["--quick"] if asked.quick else [f"--only {text}" for text in asked.only]
+    parts += ["--inject-real"] * asked.inject_real
     for option, given in (("moments", asked.moments), ("plants", asked.plants), ("bench", asked.bench)):
         parts += [f"--{option} {given}"] if given != DEFAULTS[option] else []
     return " ".join([*parts, *([f"--random {asked.count}"] if asked.count is not None else [])])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,7 @@ from hil.robot.trajectories import line
 if TYPE_CHECKING:
     from hil.core.signals import CycleRecord
 
+Where = Callable[["CycleRecord"], "Array | None"]
 _LOOK_NS = nanoseconds(0.02)
 START, WAY_M, HOLD_S = np.zeros(3), 0.12, 0.3
 """Start pose, length of the climb and duration of the hold at its end."""
@@ -48,7 +49,7 @@ def observed(cell: Cell, name: str = "emulated", *, compared: bool = True) -> Se
     with tempfile.TemporaryDirectory(prefix="hil-faults-") as folder:
         path = Path(folder) / "run.mcap"
         seen = _drive(cell, name, path, way)
-        seen.unreadable = _unreadable(path) if seen.cycles else ""
+        seen.unreadable = unreadable(path) if seen.cycles else ""
     if not compared:
         return seen
     pairs = zip(way, _way_without(name, cell.seed, cell.plant), strict=False)
@@ -61,7 +62,7 @@ def _way_without(name: str, seed: int, plant: str) -> tuple[Array, ...]:
     """Return the true positions (2,), m, in each cycle of the drive without a fault."""
     way: list[Array] = []
     with open_bench(name, seed=seed, overrides={"emulation.plant": plant}) as bench:
-        _climb(bench, Seen(), way)
+        climb(bench, Seen(), way, partial(_where, bench))
     return tuple(way)
 
 
@@ -74,7 +75,7 @@ def _drive(cell: Cell, name: str, path: Path, way: list[Array]) -> Seen:
     try:
         with bench:
             bench.add_sink(McapRecorder(str(path), bench.header(), lossless=True))
-            _climb(bench, seen, way)
+            climb(bench, seen, way, partial(_where, bench))
             stopped = _place(bench)
             seen.stopped_s = bench.clock.now_ns() / NS_PER_S
     except HilError as error:
@@ -87,9 +88,18 @@ def _drive(cell: Cell, name: str, path: Path, way: list[Array]) -> Seen:
     if truth is not None:
         seen.held_adhesion_n = truth.adhesion_n
     _watch(bench, seen)
-    seen.events = [Told(tuple(row["device"].split(SEPARATOR)), event_line(row)) for row in bench.seen.rows()]
+    seen.events = told_by(bench)
     end()
     return seen
+
+
+def told_by(bench: Bench) -> list[Told]:
+    """Return the events of a bench."""
+    return [Told(tuple(row["device"].split(SEPARATOR)), event_line(row)) for row in bench.seen.rows()]
+
+
+def _where(bench: Bench, _: CycleRecord) -> Array:
+    return _place(bench)
 
 
 def _place(bench: Bench) -> Array:
@@ -114,27 +124,35 @@ def _follow(bench: Bench, seen: Seen) -> Callable[[], None]:
     return bench.clock.schedule(look, bench.clock.now_ns())
 
 
-def _climb(bench: Bench, seen: Seen, way: list[Array]) -> None:
+def climb(bench: Bench, seen: Seen, way: list[Array], where: Where, start: Array = START) -> None:
     """Drive up; a `HilError` that ends the drive is stored, the robot is then stopping.
 
-    Adds the true position (2,), m, in each cycle to `way`.
+    Args:
+        bench: open bench.
+        seen: receives what is observed.
+        way: receives the position (2,) of each cycle, m from the start.
+        where: function from a cycle to that position; None where it is not known.
+        start: pose (3,) at which the robot stands: m, m, rad in the wall frame.
     """
 
     def look(record: CycleRecord) -> None:
         seen.cycles += 1
-        here = _place(bench)
+        if (here := where(record)) is None:
+            return
         way.append(here)
-        seen.off_m = np.abs(here - record.state.pose_body_in_wall[:2])
+        seen.off_m = np.abs(here - record.state.pose_body_in_wall[:2] + start[:2])
         seen.sigma_m = np.sqrt(np.diag(record.state.covariance)[:2])
         if record.reference is not None:
-            apart_m = float(np.hypot(*(here - record.reference.pose_in_wall[:2])))
+            apart_m = float(np.hypot(*(here - record.reference.pose_in_wall[:2] + start[:2])))
             seen.astray_m = max(seen.astray_m, apart_m)
 
-    goal = line(START, [WAY_M, 0.0, 0.0], duration_s=DURATION_S)
+    goal = line(start, start + np.array((WAY_M, 0.0, 0.0)), duration_s=DURATION_S)
     try:
-        motion = bench.drive(goal, start_pose=START, hold_s=HOLD_S, on_cycle=look)
+        motion = bench.drive(goal, start_pose=start, hold_s=HOLD_S, on_cycle=look)
     except HilError as error:
         seen.stop = ended_by(error)
+        return
+    if not way:
         return
     errors = tracking_errors(motion)
     said_m = 1e-3 * float(np.hypot(errors["end_x"], errors["end_y"]))
@@ -154,7 +172,7 @@ def _watch(bench: Bench, seen: Seen) -> None:
             seen.most_thrust_n = max(seen.most_thrust_n, truth.thrust_n)
 
 
-def _unreadable(path: Path) -> str:
+def unreadable(path: Path) -> str:
     """Return why a recording cannot be read; empty if it can."""
     try:
         problems: list[str] = []

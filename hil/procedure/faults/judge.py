@@ -132,6 +132,8 @@ def _wrong(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
     """Yield every violated promise as text."""
     if seen.foreign:
         yield f"an exception of another kind: {seen.foreign}"
+    if seen.missed:
+        yield f"{seen.missed} hit no message of its device"
     if seen.unreadable:
         yield f"the recording: {seen.unreadable}"
     yield from _wrong_of_names(cell, seen)
@@ -195,7 +197,8 @@ def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
         yield f"said to be held, with {seen.left_adhesion_n:.1f} N of {LEAST_ADHESION_N:g} N at least"
     if seen.state == "not needed" and seen.on_wall:
         yield "said that it need not be held, on a wall"
-    if seen.cycles and seen.state not in ("HELD", "not needed") and not (gone or hold_unconfirmable(cell)):
+    excused = gone or (hold_unconfirmable(cell) and not seen.at_links)
+    if seen.cycles and seen.state not in ("HELD", "not needed") and not excused:
         yield f"not held: {seen.held.why if seen.held is not None else 'no report'}"
     if gone:
         return

@@ -85,6 +85,8 @@ class Seen:
         moved_m: true motion between these times; if the bench did not open, from the start position.
         crept_m: largest distance from there in the seconds after the bench has closed.
         fallen: True if the true robot fell at any time.
+        at_links: True if the faults were injected at links, and ended before the robot was judged.
+        missed: specs of faults that hit no message or did not begin.
         adhesion_n, thrust_n: least true holding forces at any time, N.
         held_adhesion_n: true force of the fan at the final report, N.
         left_adhesion_n: true force of the fan at the end of the observation, N.
@@ -109,6 +111,8 @@ class Seen:
     moved_m: float = 0.0
     crept_m: float = 0.0
     fallen: bool = False
+    at_links: bool = False
+    missed: str = ""
     adhesion_n: float = 1e3
     thrust_n: float = 1e3
     held_adhesion_n: float = 45.0
