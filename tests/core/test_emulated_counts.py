@@ -38,6 +38,7 @@ def test_the_servos_measure_what_their_firmware_does():
     assert velocities == np.trunc(turned / model.rad_s_per_count).tolist()
     assert currents == np.trunc(rate_rad_s / model.a_per_count).tolist()
     assert sensing.counts(40_000_000) == seen[-11].tolist()
+    assert sensing.counts(41_000_000) == np.rint(0.75 * seen[-11] + 0.25 * seen[-12]).tolist()
 
 
 @pytest.mark.parametrize("flags", [0, as5045_chip.MAG_INC, as5045_chip.COF])

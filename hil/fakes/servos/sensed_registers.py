@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.core.clock import nanoseconds
 from hil.fakes.servos.bus_truth import ServoBusOptions
-from hil.fakes.servos.sensing import Sensing
+from hil.fakes.servos.sensing import GRID_NS, Sensing
 from hil.fakes.servos.servo import Servo
 from hil.fakes.servos.servo_faults import ServoFaults
 from hil.fakes.servos.thermal_load import ThermalModel
@@ -54,7 +54,8 @@ class LiveRegisters:
         if not faults.none:
             age_ns = faults.age_ns(j, t_ns)
             if age_ns:
-                counts, velocity = sensing.counts(age_ns)[j], sensing.velocity(age_ns)[j]
+                counts = sensing.counts(max(age_ns - t_ns % GRID_NS, 1))[j]
+                velocity = sensing.velocity(age_ns)[j]
             counts, velocity, current = faults.measured(j, t_ns, (counts, velocity, current))
         servo.sense(counts, velocity)
         return velocity, current

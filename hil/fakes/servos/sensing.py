@@ -142,12 +142,17 @@ class Sensing:
         return self._shown
 
     def counts(self, age_ns: int = 0) -> list[int]:
-        """Return the present encoder counts, or those of the grid sample `age_ns` ago."""
-        if not age_ns:
-            self._count()
-            return [int(n) for n in self._shown[SHOWN_COUNTS]]
+        """Return the present encoder counts, or those `age_ns` before the newest sample of the grid.
+
+        Between two samples they are linear: values of some time ago move as smoothly as present ones.
+        """
         self._count()
-        return [int(n) for n in self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]]
+        if not age_ns:
+            return [int(n) for n in self._shown[SHOWN_COUNTS]]
+        rows, rest_ns = divmod(min(age_ns, HISTORY_NS), GRID_NS)
+        row, share = self._row - rows, rest_ns / GRID_NS
+        newer, older = self._history[row % _ROWS], self._history[(row - 1) % _ROWS]
+        return [round(a + share * (b - a)) for a, b in zip(newer, older, strict=True)]
 
     def velocity(self, age_ns: int = 0) -> list[int]:
         """Return Present Velocity in its counts, truncated towards zero."""

@@ -7,12 +7,51 @@ from __future__ import annotations
 
 import math
 
-from hil.core.signals import Event, RobotState
+from hil.core.signals import WHEELS, Event, RobotState
 from hil.loop.cycle_data import Check, Cycle
 
 _MOST, _CALM = 2.5, 1.5
 """Mean normalised innovation squared at which a warning is given, and below which it may be given again;
 sensors without a fault stay below 1.2 on both plants."""
+
+
+_READS, _REJECTED = 100, 1.0
+"""Reads of the servos that are judged together, and rejected wheels per read at which a warning is given;
+healthy servos have 0.3 at most."""
+
+
+class _WheelReads:
+    """Counts the wheels that the filter rejects, in each `_READS` reads of the servos."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Clear the counts."""
+        self._reads, self._before, self._rejected, self._reported = 0, 0.0, 0.0, False
+
+    def judge(self, reads: int, state: RobotState, events: list[Event]) -> None:
+        """Report servos whose wheels are rejected often, once until they fit again.
+
+        Args:
+            reads: number of reads in this cycle.
+            state: the estimate.
+            events: list that receives findings.
+        """
+        rejected = state.diagnostics.get("rejected_wheels", 0.0)
+        self._rejected += max(rejected - self._before, 0.0)
+        self._before, self._reads = rejected, self._reads + reads
+        if self._reads < _READS:
+            return
+        often = self._rejected >= _REJECTED * self._reads
+        if often and not self._reported:
+            share = 100.0 * self._rejected / (len(WHEELS) * self._reads)
+            message = (
+                f"{share:.0f} % of the wheels' angles of the last {self._reads} reads do not fit the others: "
+                "their data are old or irregular, or the wheels slip"
+            )
+            events.append(Event(state.t_ns, "warning", "servos", message))
+        self._reads, self._rejected, self._reported = 0, 0.0, often
 
 
 class _Refusals:
@@ -52,12 +91,14 @@ class FilterFit(Check):
     """Checks the estimate of one run."""
 
     def __init__(self) -> None:
+        self._reads = _WheelReads()
         self._wheels = _Refusals("wheels", "servos", "camera and IMU")
         self._camera = _Refusals("tracker", "tracker", "servos and IMU")
         self.reset()
 
     def reset(self) -> None:
         """Clear the counts."""
+        self._reads.reset()
         self._wheels.reset()
         self._camera.reset()
         self._misfit, self._largest_m, self._mean = False, 0.0, 1.0
@@ -71,6 +112,7 @@ class FilterFit(Check):
     def on_estimate(self, cycle: Cycle) -> None:
         """Check for rejected samples, and for the fit of the camera's poses."""
         assert cycle.state is not None
+        self._reads.judge(len(cycle.measurements.wheels), cycle.state, cycle.events)
         self.judge(cycle.state, cycle.events)
         cycle.inflate_next(self.take_inflation())
 
