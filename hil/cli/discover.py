@@ -65,7 +65,7 @@ def command(
 
     Example: hil discover --out my.toml
     """
-    from hil.bench.doctor.discovery import discover, serial_ports
+    from hil.bench.doctor.discovery import ASSUMED, discover, serial_ports
     from hil.bench.doctor.protected_ports import ports_that_hold, why_not_asked
     from hil.core.clock import MonotonicClock
     from hil.core.errors import UsageError
@@ -81,7 +81,7 @@ def command(
     left_alone = {port: why for port in listed if (why := why_not_asked(port, holding))}
     for port, why in left_alone.items():
         _say(f"not asked: {port}: {why}")
-    _must_stand([port for port in listed if port not in left_alone], on_stand)
+    _must_stand([port for port in listed if port not in left_alone], on_stand, benches)
     found = discover(MonotonicClock(), ports=listed, left_alone=left_alone, given=given, say=_say)
     for kind, where in found.missing.items():
         _say(f"not found: {kind}: {where}")
@@ -90,7 +90,8 @@ def command(
     text = found.to_toml()
     if out is not None and found.sections:
         write_text(out, text)
-        click.echo(f"hil: wrote {out}; check it with hil doctor --bench {out}", err=True)
+        _say(f"wrote {out}; check it with hil doctor --bench {out}")
+        _say(ASSUMED)
     if as_json:
         click.echo(json.dumps(_as_json(found)))
     elif out is None and found.sections:
@@ -108,7 +109,7 @@ def _say(text: str) -> None:
     click.echo(f"hil: {text}", err=True)
 
 
-def _must_stand(ports: list[str], on_stand: bool) -> None:
+def _must_stand(ports: list[str], on_stand: bool, benches: tuple[Path, ...]) -> None:
     """Print what will be written where; raise `Aborted` unless the operator says that the robot stands."""
     from hil.bench.doctor.discovery import what_is_written
     from hil.bench.doctor.protected_ports import what_is_kept
@@ -118,7 +119,8 @@ def _must_stand(ports: list[str], on_stand: bool) -> None:
     if not ports:
         return
     for name in what_is_kept():
-        _say(f"a robot may hang by what runs now: {name} (hil adhesion status)")
+        file = benches[0] if benches else "FILE"
+        _say(f"a robot may hang by what runs now: {name} (hil adhesion status --bench {file})")
     _say(f"will write to {', '.join(ports)}: {'; '.join(what_is_written())}")
     if on_stand:
         return

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +29,8 @@ if TYPE_CHECKING:
 
 
 _HELP_AT = 34
-_SCRIPT = "the script of this line"
+_SCRIPT, _WORDS = "the script of this line", "the words of this line"
+_NOT_REPEATED = ("--out", "--answers")
 
 
 class _WithParameters(click.Command):
@@ -36,6 +39,7 @@ class _WithParameters(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Like click's; keeps what may be a script for `format_epilog`."""
         ctx.meta[_SCRIPT] = next((word for word in args if not word.startswith("-")), None)
+        ctx.meta[_WORDS] = tuple(args)
         return super().parse_args(ctx, args)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -135,6 +139,7 @@ def command(
                 resume=resume,
                 on_recording_failure=on_failure,
                 interrupts=interrupts,
+                command=_repeated(click.get_current_context().meta.get(_WORDS, ())),
             )
             if publisher is not None:
                 source = replace(source, publish=publisher.sink)
@@ -151,6 +156,17 @@ def command(
         if untested := _untested(result):
             click.echo(f"hil: warning: {untested}", err=True)
     return code
+
+
+def _repeated(words: Sequence[str]) -> str:
+    """The command line that repeats a run, without where its results go and who answers."""
+    kept: list[str] = []
+    skips = False
+    for word in words:
+        if not skips and not word.startswith(tuple(f"{name}=" for name in _NOT_REPEATED)):
+            kept += [word] if word not in (*_NOT_REPEATED, "--json", "--resume") else []
+        skips = not skips and word in _NOT_REPEATED
+    return shlex.join(("hil", "run", *kept))
 
 
 def _untested(result: Result) -> str:
@@ -194,7 +210,6 @@ def text_of(result: Result) -> str:
     """A result as text: what ended the run, then the measurements, and the verdict."""
     from hil.bench.hold.result import held_in_words
     from hil.core.event_rows import event_lines
-    from hil.procedure.measurements import Verdict
     from hil.report.pages import digits_of
     from hil.support.file_reading import printable
 
@@ -217,14 +232,12 @@ def text_of(result: Result) -> str:
     lines += [f"[{number}] {doubt}" for doubt, number in doubts.items()]
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
-    notes = result.facts["notes"]
-    if result.verdict is Verdict.PASS:  # only notes on repeated measurements and unused faults
-        last = sum("earlier" in row for row in result.measurements) + bool(result.facts["faults_not_begun"])
-        notes = notes[len(notes) - last :]
-    lines += [f"note: {note}" for note in notes]
+    lines += [f"note: {note}" for note in result.facts["notes"]]
     lines += [f"seen: {line}" for line in event_lines(result.facts["events"])]
     lines.append(held_in_words(result.facts["held"]))
-    said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
+    said = result.to_json()["said"]
+    if result.error:
+        said = f"It ended early, {result.error.place}: {result.error.message}"
     untested = _untested(result)
     lines.append(" ".join(filter(None, (f"{result.verdict.value}: {result.procedure}.", said, untested))))
     lines.append(f"results: {shown_path(result.folder)}")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from hil.config.device_place import device_place
 from hil.config.loading import load_bench
 from hil.console import jobs
 from hil.console.command_forms import Action
@@ -50,9 +51,6 @@ _KINDS = {
     ".csv": "text/plain; charset=utf-8",
     ".jsonl": "text/plain; charset=utf-8",
 }
-
-_PLACES = ("port", "channel", "server", "address", "serial")
-"""Keys of the bench file for the address of a device."""
 
 
 def policy(stop_port: int) -> str:
@@ -205,10 +203,8 @@ class PageProcess:
         config = load_bench(request.query.get("name", self._bench))
         rows = []
         for name, device in config.devices().items():
-            tree = device.model_dump(mode="json")
-            found = next((str(tree[k]) for k in _PLACES if tree.get(k)), "")
-            place = found if device.backend == "real" else ""
-            model = tree.get("model", "")
+            place = device_place(device) if device.backend == "real" else ""
+            model = getattr(device, "model", "")
             title = next((m.title for m in kinds()[name].models if m.name == model), model)
             rows.append({"name": name, "model": title, "backend": device.backend, "place": place})
         return as_json({"bench": config.name, "devices": rows, "start": config.knows_start})

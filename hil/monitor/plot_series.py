@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,13 +10,11 @@ from itertools import pairwise
 import numpy as np
 
 from hil.core.clock import NS_PER_S
-from hil.core.device import DeviceKind, Figures
+from hil.core.device import Figures
 from hil.core.geometry import Array, wrap
-from hil.core.package_errors import PackageError, call_in_package
+from hil.core.kind_figures import KindFigures
 from hil.core.registry import kinds, sample_names
-from hil.core.signals import CycleRecord, Inputs, Status
-
-LOG = logging.getLogger(__name__)
+from hil.core.signals import CycleRecord, Status
 
 _GROUPS = {
     "nis_mean": "estimator/mean_nis",
@@ -67,7 +64,7 @@ class SeriesCollector:
         self._rows: dict[str, list[tuple[float, int, Figures]]] = {}
         self._seen_ns: dict[str, int] = {}
         self._slow_s = -math.inf
-        self._failed: set[str] = set()
+        self._of_kind = KindFigures()
 
     def seconds(self, record: CycleRecord) -> float:
         """Time of a cycle since the first one, s."""
@@ -120,17 +117,6 @@ class SeriesCollector:
         yield from _diagnostics(record)
         if record.timing_ns:
             yield "loop", {name: value_ns / 1e6 for name, value_ns in record.timing_ns.items()}
-
-    def _of_kind(self, kind: DeviceKind, inputs: Inputs) -> Sequence[tuple[str, Figures]]:
-        """Figures of a device kind; if its package raises, they are left out from then on, with a warning."""
-        if kind.name in self._failed:
-            return ()
-        try:
-            return call_in_package(kind.name, kind.package, "figures", lambda: tuple(kind.figures(inputs)))
-        except PackageError as error:
-            self._failed.add(kind.name)
-            LOG.warning("%s", error)
-            return ()
 
     def _ages(self, record: CycleRecord) -> Figures:
         """Age of every device's newest sample, ms."""

@@ -11,9 +11,7 @@ from hil.core.call_chain import keep_chain
 from hil.core.clock import NS_PER_S
 from hil.core.errors import DataError, HilError, RecordingError
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.fit_history import FitHistory
-from hil.procedure.hold_history import HoldHistory
-from hil.procedure.path_history import PathHistory
+from hil.procedure.histories import Histories
 from hil.recording.mcap_writer import McapRecorder, OnFailure
 
 if TYPE_CHECKING:
@@ -65,7 +63,7 @@ class Driven:
         held: final report of the bench on the hold of the robot.
         tethered: True if the robot was on a tether.
         world_ns, looked_ns, failed: same as `world_ns`, `looked_ns` and `lost` of the bench.
-        hold, path, fit: histories for the figures and the last table of every report.
+        histories: values for what every report shows by itself.
         events: events that the bench has seen, as rows of `hil.core.event_rows`.
         lost: reason why the recording is missing or incomplete; empty if it is complete or was not wanted.
         objection: recording error with which the run has to end; None for none.
@@ -80,9 +78,7 @@ class Driven:
     world_ns: int
     looked_ns: int
     failed: tuple[str, ...]
-    hold: HoldHistory
-    path: PathHistory
-    fit: FitHistory
+    histories: Histories
     events: list[dict[str, Any]]
     lost: str
     objection: RecordingError | None
@@ -99,15 +95,15 @@ def driven(sent: Sent[Any]) -> Driven:
     """
     bench = sent.job.source.open()
     bench.warns_not_held = False
-    hold, path, fit = HoldHistory(), PathHistory(), FitHistory()
+    histories = Histories()
     tethered = bench.config.safety.tethered
     result, error, driven_s = None, None, 0.0
     try:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), hold, path, fit, [], "", None)
-    for sink in (hold, path, fit) if recorder is None else (recorder, hold, path, fit):
+        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), histories, [], "", None)
+    for sink in (*(() if recorder is None else (recorder,)), *histories.sinks()):
         bench.add_sink(sink)
     try:
         with bench:
@@ -137,9 +133,7 @@ def driven(sent: Sent[Any]) -> Driven:
         bench.world_ns,
         bench.looked_ns,
         tuple(bench.lost),
-        hold,
-        path,
-        fit,
+        histories,
         bench.seen.rows(),
         lost,
         objection,

@@ -193,6 +193,7 @@ def junit(tree: Mapping[str, Any]) -> str:
         ("seed", tree.get("seed", "")),
         ("calibration_version", calibration.get("version", "none")),
         ("emulated", ",".join(tree.get("emulated", ())) or "none"),
+        *((f"real.{name}", place or "real") for name, place in (tree.get("real") or {}).items()),
         ("virtual_time", str(bool(tree.get("virtual_time"))).lower()),
         *(("fault", spec) for spec in tree.get("faults", ())),
         *(("event", event_line(row)) for row in tree.get("events", ())),

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 from hil.config.robot_record.overlay import known_parts
 from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DataError, RecordingError
-from hil.procedure import fit_history, hold_history, path_history
+from hil.core.registry import kinds
+from hil.procedure import device_history, fit_history, hold_history, path_history
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.final_hold import HoldRecord
+from hil.procedure.histories import Histories
 from hil.procedure.operator import go_ahead
 from hil.procedure.parallel_drives import DriveJob, Driven, Result, Sent, driven
 from hil.procedure.run_journal import PastRun
@@ -136,9 +138,7 @@ class RunBenches:
         self.guard = StepTimer(options.interrupts)
         self._results, self._operator, self._interrupts = results, options.operator, options.interrupts
         self._recordings = Recordings(results, options.interrupts, options.on_recording_failure)
-        self._hold_history = hold_history.HoldHistory()
-        self._path_history = path_history.PathHistory()
-        self._fit_history = fit_history.FitHistory()
+        self._histories = Histories()
         self.opened: Bench | None = None
         self._bench_name = ""
         self.left_behind = False
@@ -174,8 +174,7 @@ class RunBenches:
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
-            bench.add_sink(self._fit_history)
-            for history in (self._hold_history, self._path_history) if self._results.keep == "all" else ():
+            for history in self._histories.sinks(drawn=self._results.keep == "all"):
                 bench.add_sink(history)
             with self._interrupts.deferred():
                 bench.__enter__()
@@ -256,9 +255,7 @@ class RunBenches:
         self.guard.add(found.driven_s)
         self._came(found.world_ns, found.looked_ns)
         self.lost += found.failed
-        self._hold_history.follow(found.hold)
-        self._path_history.follow(found.path)
-        self._fit_history.follow(found.fit)
+        self._histories.follow(found.histories)
         if found.pressed and self.left.held is None:
             self._results.note(found.pressed)
         self.left.add(name, found.held, found.events, tethered=found.tethered)
@@ -270,21 +267,34 @@ class RunBenches:
             raise found.error
 
     def show_histories(self) -> None:
-        """Add the table of sensor fits, a figure of the hold, and one of the path if there are no others."""
-        fitted = list(self._fit_history.rows())
+        """Add the table of sensor fits, and figures of path, hold and own devices.
+
+        The path is left out where a figure of the procedure shows one, by its title.
+        """
+        fitted = list(self._histories.fit.rows())
         if fitted:
             noise = known_parts(self.source.config).get("noise")
-            by = "no measurement: `hil run sensor_noise`" if noise is None else f"{noise.measured[:10]}"
-            note = f"1 is ideal, per row of a sample, while a filter drove. The record's noise is of {by}."
+            note = (
+                "NIS, the normalised innovation squared, compares a sensor's deviations from the estimate "
+                "with the noise that the filter assumes: 1 where both are alike. Mean per component, while "
+                "the robot drove with a filter. "
+            )
+            if noise is None:
+                note += "The assumed noise was never measured on this robot: hil run sensor_noise does."
+            else:
+                note += f"The assumed noise was measured on {noise.measured[:10]}."
             self._results.table(fit_history.TITLE, fit_history.HEAD, fitted, note)
         if self._results.keep == "results":
             return
-        path = None if self._results.findings.figures else self._path_history.figure()
+        titles = [str(entry["title"]).lower() for entry in self._results.findings.figures]
+        path = None if any("path" in title for title in titles) else self._histories.path.figure()
         if path is not None:
             self._results.draw(path, "Path", path_history.CAPTION)
-        hold = self._hold_history.figure()
+        hold = self._histories.hold.figure()
         if hold is not None:
             self._results.draw(hold, "Adhesion", hold_history.CAPTION)
+        for name, figure in self._histories.devices.figures():
+            self._results.draw(figure, kinds()[name].noun.capitalize(), device_history.CAPTION)
 
     def unrecorded(self) -> RecordingError | None:
         """Return the error with which the run has to end if recordings lack cycles; None for none."""

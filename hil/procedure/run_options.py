@@ -30,6 +30,7 @@ class RunOptions:
             `go-on`.
         interrupts: signal handling, which the caller also uses before and after the run.
         keep: `results` leaves out recordings and figures.
+        command: command line that repeats the run; empty where no command started it.
     """
 
     folder: Path
@@ -42,3 +43,4 @@ class RunOptions:
     on_recording_failure: OnFailure = "stop"
     interrupts: Interrupts = field(default_factory=Interrupts)
     keep: Keep = "all"
+    command: str = ""

@@ -10,6 +10,7 @@ from typing import Any
 from hil.bench.hold.result import untouched
 from hil.bench.injection import nothing_hit
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
+from hil.config.device_place import device_place
 from hil.core.call_chain import as_json, chain_of, place_of
 from hil.core.clock import NS_PER_S
 from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
@@ -123,6 +124,8 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "headline": proc.said(findings.values),
         "bench": source.config.name,
         "emulated": list(source.config.emulated()),
+        "real": {name: device_place(source.config.devices()[name]) for name in source.real},
+        "command": context.options.command,
         "virtual_time": source.virtual,
         "parameters": as_dict(context.parameters),
         **header,

@@ -134,6 +134,8 @@ class _Result(_Part):
     headline: str = ""
     bench: str | None = None
     emulated: list[str] = []
+    real: dict[str, str] = {}
+    command: str = ""
     virtual_time: bool = False
     seed: int | None = None
     faults: list[str] = []

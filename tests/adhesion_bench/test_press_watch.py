@@ -153,7 +153,7 @@ def test_propellers_that_report_nothing_count_once_deaf_ones_would_have_let_the_
     assert press.alone == [True]
     assert steady(press, 3.0, fan=ENOUGH_N)[-5:] == [""] * 5
     assert press.alone == [True]
-    assert "the propellers report nothing" in press.words()
+    assert "the propellers' push has no sensor" in press.words()
     press.watch.end()
     assert press.alone == [True, False]
 
@@ -216,4 +216,4 @@ def test_propellers_that_report_count_by_what_they_report_and_while_they_do():
     assert press.doubt(fan=enough_n, push=20.0) == ""
     steady(press, STALE_S - 0.05, fan=enough_n)
     assert silent in steady(press, 0.15, fan=enough_n)[-1]
-    assert "report nothing" not in press.words()
+    assert "has no sensor" not in press.words()

@@ -1,11 +1,15 @@
 """Recordings and the packages of their devices: the one that is missing is named."""
 
 import csv
+import json
 import shutil
 import sys
 
 import pytest
 from mcap.reader import make_reader
+
+from hil.report.figure_data import taken_out
+from hil.report.page_figures import themed_svg
 
 TWIN = """
 from typing import Literal
@@ -96,6 +100,21 @@ def test_without_the_package_every_command_names_it(words, climb, hil, tmp_path)
     assert "rangefinder (hil-rangefinder 0.1.0)" in done.said
     assert "install hil-rangefinder 0.1.0 from where you got it" in done.said
     assert not {path.name for path in tmp_path.iterdir()} - {recording.name, "replay.toml"}
+
+
+def test_the_page_draws_what_the_device_has_measured(climb, rangefinder, hil, tmp_path):
+    hil("export", climb / "recording.mcap", "--out", "table.csv", packages=[rangefinder])
+    with (tmp_path / "table.csv").open() as file:
+        rows = [row["rangefinder_distance_m"] for row in csv.DictReader(file)]
+    distances = [float(text) for text in rows if text]
+    figures = json.loads((climb / "result.json").read_text())["figures"]
+    (drawn,) = (climb / f["path"] for f in figures if f["title"] == "Range finder")
+    axes, _ = json.loads(taken_out(themed_svg(drawn))[1])["axes"]
+    assert "(m)" in axes["y"]["label"]
+    (series,) = axes["series"]
+    known = [v for v in series["y"] if v is not None]
+    assert len(known) > 10
+    assert min(distances) - 1e-4 <= min(known) <= max(known) <= max(distances) + 1e-4
 
 
 def test_the_report_of_a_run_is_read_without_the_package(climb, hil):

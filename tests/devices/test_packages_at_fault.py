@@ -163,15 +163,19 @@ def test_a_model_without_a_wire_says_so(package, hil):
 
 
 @pytest.mark.usefixtures("bench")
-def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, forget, monkeypatch, tmp_path, capfd):
-    """Another process draws."""
+def test_figures_that_fail_are_named_and_the_rest_is_drawn(
+    package, forget, monkeypatch, tmp_path, capfd, caplog
+):
+    """The page draws them, and another process the view."""
     folder = package("hil-evil", PACKAGE + "ITEM = thing(figures=fail)\n", "ITEM", version="6.6")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(folder), *sys.path])
     forget()
+    named = "thing (hil-evil 6.6): figures raised Runtime"
     assert main(["run", "look.py", "--bench", "bench.toml", "--out", "out"]) == 0
+    assert caplog.text.count(named) == 1, "the page would draw them"
     assert main(["replay", "out/recording.mcap", "--rerun", "x.rrd"]) == 0
-    assert capfd.readouterr().err.count("thing (hil-evil 6.6): figures raised Runtime") == 1
+    assert capfd.readouterr().err.count(named) == 1
     assert (tmp_path / "x.rrd").stat().st_size > 0
 
 

@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from hil.cli import main
 from hil.cli.run import text_of
-from hil.procedure import Measurement, procedure
+from hil.config.bench import bench_model
+from hil.procedure import BenchSource, Measurement, procedure
 from hil.report.run_page import write_run_page
 
 ONE = (Measurement("a", "mm", high=1.0),)
@@ -168,3 +170,34 @@ def drawn():
     from matplotlib.figure import Figure
 
     return Figure()
+
+
+def test_a_page_and_ci_say_how_to_repeat_a_run_and_where_the_real_devices_were(run_small, tmp_path):
+    @procedure(name="idle", measurements=())
+    def idle(ctx):
+        ctx.note("a note of a run that passes")
+
+    config = bench_model().model_validate({"schema": 1, "name": "lab", "imu": {"port": "/dev/ttyUSB7"}})
+    result = run_small(idle, source=BenchSource(config), command="hil run idle --set 'x=[1, 2]'")
+    assert result_of(result)["real"] == {"imu": "/dev/ttyUSB7"}
+    suite = ElementTree.parse(result.folder / "junit.xml").getroot()
+    said = {p.get("name"): p.get("value") for p in suite.iter("property")}
+    assert said["real.imu"] == "/dev/ttyUSB7"
+    page = write_run_page(result.folder).read_text()
+    assert "hil run idle --set &#39;x=[1, 2]&#39;" in page
+    assert "imu at /dev/ttyUSB7" in page
+    assert "note: a note of a run that passes" in text_of(result)
+
+
+def test_the_command_that_repeats_a_run_leaves_out_where_its_results_go(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my run.py").write_text(
+        "from hil.procedure import procedure\n\n\n@procedure(name='r', measurements=())\n"
+        "def run(ctx):\n    '''Nothing.'''\n"
+    )
+    words = ["--out", "here", "--seed", "3", "--answers=x.txt", "--json"]
+    (tmp_path / "x.txt").write_text("")
+    assert main(["run", "my run.py", *words]) == 0
+    assert json.loads((tmp_path / "here" / "result.json").read_text())["command"] == (
+        "hil run 'my run.py' --seed 3"
+    )

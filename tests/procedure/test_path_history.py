@@ -53,6 +53,13 @@ def test_a_driven_path_is_drawn_with_reference_estimate_and_truth(run_small):
     assert 0.0 < worst < 5.0
 
 
-@pytest.mark.parametrize(("proc", "titles"), [(stand, []), (draws, ["Own"])])
-def test_there_is_none_where_nothing_was_driven_or_another_figure_is_there(run_small, proc, titles):
+@procedure(name="draws_it", needs=("servos",))
+def draws_it(ctx):
+    """Drives, and draws the path itself."""
+    ctx.bench.drive(line((0, 0, 0), (0.04, 0, 0), duration_s=1.2))
+    ctx.figure(new_figure(), "My path")
+
+
+@pytest.mark.parametrize(("proc", "titles"), [(stand, []), (draws, ["Own", "Path"]), (draws_it, ["My path"])])
+def test_figures_of_ones_own_add_to_it_and_there_is_none_where_nothing_was_driven(run_small, proc, titles):
     assert list(figures(run_small(proc, source=FLOOR))) == titles

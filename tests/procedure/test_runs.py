@@ -206,7 +206,7 @@ def test_a_signal_finishes_the_step_or_stops_at_once(run_small, tmp_path, signal
     if finished:
         assert "after the step 'two', which was finished" in tree["error"]["message"]
         assert "what they measure, are left out" in tree["error"]["message"]
-        assert "ABORTED: three_steps. It ended early, after 'two'." in text_of(result)
+        assert "ABORTED: three_steps. It ended early, after 'two': ended by Ctrl-C" in text_of(result)
         assert "after “two”" in write_run_page(result.folder).read_text()
     assert signal.getsignal(signal.SIGINT) is before
 

@@ -25,6 +25,8 @@ from hil.links.serial_url import BY_ID
 
 _ORDINALS = ("first", "second", "third", "fourth", *(f"number_{k}" for k in range(5, 100)))
 _WALL = {"surface": "melamine", "tilt_rad": 1.5708}
+ASSUMED = "environment: a vertical wall is assumed, also of a robot on a stand; on a floor change both values"
+"""Where the robot will work is the user's to say: a floor that is a wall would let it fall."""
 
 Say = Callable[[str], None]
 
@@ -67,7 +69,7 @@ class Discovery:
 
     def to_toml(self) -> str:
         """A bench file; its comments say what the user still has to check."""
-        head = "".join(f"# {note}\n" for note in self.notes)
+        head = "".join(f"# {note}\n" for note in (ASSUMED, *self.notes))
         tree = {"schema": 1, "name": "my_bench", "environment": _WALL, **self._tables()}
         return head + tomli_w.dumps(tree)
 

@@ -298,7 +298,7 @@ class AdhesionForceCheck:
         for text in (self._measured.fan.contradiction if self._measured else "", self._push_trouble):
             reported += [text] * bool(text)
         if self._limits.nominal_thrust_n and not self._limits.reports_thrust:
-            reported.append("the propellers report nothing")
+            reported.append("the propellers' push has no sensor")
         if believed.by and not believed.confirmed:
             reported.append("no second sensor confirms the force")
         return f"; pressed on the wall: {', '.join(reported)}"
