@@ -16,7 +16,7 @@ from hil.cli.options import COUPLING, JSON, OUT, PLOTS, SEED, TOPICS, FiniteRang
 from hil.cli.progress import reporting
 from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 from hil.core.choices import METHODS
-from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 from hil.core.signals import WHEELS
 from hil.robot.kinematics import MODELS
 
@@ -83,11 +83,14 @@ def command(
     from hil.calibration.problem import make_setting
     from hil.core.clock import MonotonicClock
     from hil.datasets.read import read_recordings
+    from hil.datasets.topic_map import read_topic_map
 
     chosen = make_setting(setting, model=model, signal=signal, bounds=bounds)
     config = configured(bench)
     robot = on_paper(config)
     _check_outputs(out, plots)
+    if topics is not None and read_topic_map(topics).odometry is not None:
+        raise UsageError(f"{topics} names a twist, and no wheels that could be calibrated")
     unusable: dict[str, str] = {}
     with reporting() as report:
         progress = partial(report, "reading")

@@ -125,6 +125,8 @@ def command(
         run = max(runs, key=lambda r: len(r.records))
         sensors = sensors_with_samples(r.measurements for r in run.records)
         result["sensors"], result["note"] = sensors, sensors_text(opened.bench, sensors)
+        slip = opened.slip
+        result |= {} if slip is None else {"slip": slip.to_json()}
         motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         unknown = (line for name in estimators for line in unknown_states(name, motions[name]))
         result["warnings"] = [*opened.warnings(), *unknown]
@@ -230,6 +232,12 @@ def _text(result: dict[str, Any]) -> str:
         cells = (("-" if e[key] is None else f"{e[key] * factor:.3f}") for key, _, factor in _COLUMNS)
         lines.append(f"{printable(name):{width}} " + " ".join(f"{cell:>9}" for cell in cells))
     lines.append(result["note"])
+    if slip := result.get("slip"):
+        shown = (
+            f"{name} {one['factor']:.4f} +- {one['sigma']:.4f}" if one else f"{name} not determined"
+            for name, one in slip["factors"].items()
+        )
+        lines.append(f"way by {slip['by']} over that of the twist: {', '.join(shown)}")
     return "\n".join(lines)
 
 

@@ -54,7 +54,7 @@ class WheelNoise(Strict):
         friction_window_s: wheel steps that `dry-friction` and `creep` evaluate together.
     """
 
-    model: Literal["equations", "paper", "dry-friction", "creep"] = "equations"
+    model: Literal["equations", "exact", "paper", "dry-friction", "creep"] = "equations"
     source: Literal["position", "velocity"] = "position"
     step_m: Sigma = 3.0e-5
     per_sqrt_m: Spread = 2.0e-3
@@ -269,6 +269,11 @@ class EstimatorConfig(Strict):
         """
         free = {k: v for k, v in _FREE_MOTION.items() if k not in self.process.model_fields_set}
         return self.model_copy(update={"process": self.process.model_copy(update=free)})
+
+    def of_a_twist(self) -> EstimatorConfig:
+        """A copy for recordings of a twist: one body displacement per sample, whose wheels do not steer."""
+        rows = {"model": "exact", "source": "position", "steering_m_rad": 0.0}
+        return self.model_copy(update={"wheels": self.wheels.model_copy(update=rows)})
 
     @model_validator(mode="before")
     @classmethod

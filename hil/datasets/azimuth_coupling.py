@@ -103,7 +103,7 @@ def _at_rest(one: Recording, geometry: WheelGeometry) -> tuple[Array, Array]:
     repeats its pose, and is then taken for a frozen one, since the wheels seem to roll.
     """
     drive = Drive(one.t_s, one.wheel_angle_rad, one.steering_rad, one.truth_t_s, one.truth_pose)
-    edges_s = drive.edges_s() if one.has_truth else np.zeros(0)
+    edges_s = drive.edges_s() if one.has_truth and not one.of_twist else np.zeros(0)
     if len(edges_s) < 2:
         return np.zeros((0, 4)), np.zeros((0, 4))
     moved_m = np.abs(by_truth(one.truth_t_s, one.truth_pose, edges_s, geometry)).max(axis=1)

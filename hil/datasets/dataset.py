@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,8 @@ class Recording:
         problems: parts of its file that could not be read.
         contradictions: motions of its ground truth that no robot can have made.
         notes: corrections of its ground truth, see `hil.datasets.truth_correction`.
+        of_twist: True where a twist was recorded: the wheels are then four that roll as it says, on the
+            places of `nominal`.
         coupling: turns (4) of the drive encoders per turn of the steering that were taken out; else empty.
         nominal: nominal robot that it was read for.
         sensors: samples of the IMU and the camera of another robot's bag.
@@ -69,6 +72,7 @@ class Recording:
     problems: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    of_twist: bool = False
     coupling: tuple[float, ...] = ()
     nominal: Nominal = field(default_factory=Nominal)
     sensors: SensorLog = field(default_factory=SensorLog)
@@ -104,6 +108,7 @@ def build_recording(
     sha256: tuple[str, ...] = (),
     nominal: Nominal | None = None,
     repairs: Mapping[str, int] | None = None,
+    of_twist: bool = False,
 ) -> Recording:
     """Repair and check the two logs of a run; split it where stamps step back (`Recording.later`).
 
@@ -116,6 +121,7 @@ def build_recording(
         sha256: digests of those files, in the same order.
         nominal: nominal robot for the checks of units and motion, the CAD model by default.
         repairs: counts of repairs made by the reader, by name.
+        of_twist: True for wheels that were made of a twist: units and angles of wheels are not checked.
 
     Raises:
         DataError: too short, no ground truth, no overlap in time, wrong units, or wheel angles that leap
@@ -130,7 +136,9 @@ def build_recording(
     for k, (own_wheels, own_truth) in enumerate(logs, start=1):
         called = name if len(logs) == 1 else f"{name} part {k}"
         try:
-            parts.append(_build(called, where, own_wheels, own_truth, motion, robot, dict(repairs or {})))
+            build = _without_truth if own_truth is None else partial(_build, truth=own_truth)
+            found = build(called, where, own_wheels, motion, robot, dict(repairs or {}), of_twist)
+            parts.append(found)
         except DataError as error:
             refusals.append(error)
             problems.append(f"part {k} of it is left out ({error.message.removeprefix(f'{where}: ')})")
@@ -147,14 +155,14 @@ def _build(
     name: str,
     where: str,
     wheels: Log,
-    truth: Log | None,
     motion: str,
     robot: Nominal,
     repairs: dict[str, int],
+    of_twist: bool,
+    *,
+    truth: Log,
 ) -> Recording:
     """One recording from logs without steps back; see `build_recording`."""
-    if truth is None:
-        return _without_truth(name, where, wheels, motion, robot, repairs)
     rows, poses = usable(where, wheels, truth, repairs)
     begin_s, end_s = max(rows.t_s[0], poses.t_s[0]), min(rows.t_s[-1], poses.t_s[-1])
     counted = rows.values[:, 4:8]
@@ -172,7 +180,10 @@ def _build(
     as_read = Drive(rows.t_s, rows.values[:, :4], steering, poses.t_s, poses.values)
     pose = np.column_stack([poses.values[:, :2], np.unwrap(poses.values[:, 2])])
     unwrapped = replace(as_read, angle=turns.angle, pose=pose)
-    _check(where, as_read, unwrapped, (begin_s, end_s), (counted, raw, rate), turns.refusal, robot)
+    shared = (begin_s, end_s)
+    _check_shared(where, unwrapped, shared)
+    if not of_twist:
+        _check(where, as_read, unwrapped, shared, (counted, raw, rate), turns.refusal, robot)
     return Recording(
         name=name,
         motion=motion or classify(turns.angle, pose, robot.radius_m),
@@ -187,11 +198,12 @@ def _build(
         repairs=repairs,
         contradictions=lasting,
         nominal=robot,
+        of_twist=of_twist,
     )
 
 
 def _without_truth(
-    name: str, where: str, wheels: Log, motion: str, robot: Nominal, repairs: dict[str, int]
+    name: str, where: str, wheels: Log, motion: str, robot: Nominal, repairs: dict[str, int], of_twist: bool
 ) -> Recording:
     """The same from a wheel log alone, of which only what wheels can show of themselves is checked."""
     rows = usable_wheels(where, wheels, repairs)
@@ -200,12 +212,13 @@ def _without_truth(
     rate = recorded_rates(rows.values, repairs)
     turns = whole_turns(where, rows.t_s, rows.values[:, :4], rate)
     repairs.update(turns.repairs)
-    if turns.refusal is not None:
-        raise turns.refusal
     count_gaps(repairs, rows.t_s, "wheel gaps over {:g} s bridged")
     steering, none = without_turns(rows.values[:, 4:8]), np.empty(0)
-    check_steering(where, rows.t_s, steering, turns.angle)
-    check_rates(where, rows.t_s, turns.angle, rate)
+    if not of_twist:
+        if turns.refusal is not None:
+            raise turns.refusal
+        check_steering(where, rows.t_s, steering, turns.angle)
+        check_rates(where, rows.t_s, turns.angle, rate)
     return Recording(
         name=name,
         motion=motion or "other",
@@ -219,7 +232,17 @@ def _without_truth(
         truth_receive_s=none,
         repairs=repairs,
         nominal=robot,
+        of_twist=of_twist,
     )
+
+
+def _check_shared(where: str, drive: Drive, between_s: tuple[float, float]) -> None:
+    """Raise `DataError` where wheels or ground truth have no rows in the time that they share."""
+    for t_s in (drive.t_s, drive.truth_t_s):
+        if np.count_nonzero((t_s >= between_s[0]) & (t_s <= between_s[1])) < _MIN_SHARED:
+            raise DataError(
+                where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
+            )
 
 
 def _check(
@@ -244,10 +267,6 @@ def _check(
     """
     counted, raw, rate = measured
     shared, seen = ((t >= between_s[0]) & (t <= between_s[1]) for t in (drive.t_s, drive.truth_t_s))
-    if min(np.count_nonzero(shared), np.count_nonzero(seen)) < _MIN_SHARED:
-        raise DataError(
-            where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
-        )
     check_ways(where, as_read, robot)
     if refusal is not None:
         raise refusal

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +24,14 @@ from hil.datasets.bag_rows import JointRows, TruthPoses
 from hil.datasets.bag_sensors import ImuRows, TrackerRows, check_sensor_times, sensor_log
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
+from hil.datasets.frame_tree import broken_frames
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import motion_of
 from hil.datasets.topic_map import TopicMap, WheelTopic
+from hil.datasets.twist_rows import TwistRows
 from hil.datasets.unpacking import unpacked
 from hil.recording.mcap_records import BagTopic
 
-_TRANSFORMS = ("/tf", "/tf_static")
-_ENOUGH = 20_000
-"""Largest number of messages to scan: frames that appear later are rare, and bags may be long."""
 LOG = logging.getLogger(__name__)
 _POSES = (
     "geometry_msgs/msg/PoseStamped",
@@ -42,6 +40,11 @@ _POSES = (
 )
 _TYPES = {
     "wheels": ("sensor_msgs/msg/JointState",),
+    "odometry": (
+        "nav_msgs/msg/Odometry",
+        "geometry_msgs/msg/TwistWithCovarianceStamped",
+        "geometry_msgs/msg/TwistStamped",
+    ),
     "truth": _POSES,
     "imu": ("sensor_msgs/msg/Imu",),
     "tracker": _POSES,
@@ -49,61 +52,6 @@ _TYPES = {
 """Types of messages of each table of the mapping."""
 _DAY_NS = 86_400 * NS_PER_S
 _BLOCK_BYTES = 1 << 20
-
-
-def broken_frames(path: Path) -> tuple[str, ...]:
-    """Problems of the frame tree of a bag, one message each; empty for a sound tree, or without one.
-
-    Args:
-        path: a rosbag2 folder or file that is known to be readable.
-    """
-    parents: dict[str, set[str]] = {}
-    used: dict[str, str] = {}
-    with opened_bag(path) as bag:
-        for topic, _, message in islice(bag.messages(), _ENOUGH):
-            if topic.name in _TRANSFORMS:
-                for one in message.transforms:
-                    parents.setdefault(one.child_frame_id, set()).add(one.header.frame_id)
-            elif frame := getattr(getattr(message, "header", None), "frame_id", ""):
-                used.setdefault(frame, topic.name)
-    return tuple(problems_of(parents, used)) if parents else ()
-
-
-def problems_of(parents: Mapping[str, Iterable[str]], used: Mapping[str, str]) -> list[str]:
-    """Problems of a frame tree: frames with several parents, loops, separate trees, unknown frames.
-
-    Args:
-        parents: parents of each frame.
-        used: frames that messages are given in, with the topic.
-    """
-    found = []
-    for child, over in sorted(parents.items()):
-        if len(names := sorted(over)) > 1:
-            found.append(f"frame {child} hangs on {' and '.join(names)}: let one publisher send it")
-    single = {child: min(over) for child, over in parents.items()}
-    roots: dict[str, str] = {}
-    for frame in {*single, *single.values()}:
-        seen, at = [frame], frame
-        while at in single and single[at] not in seen:
-            at = single[at]
-            seen.append(at)
-        roots[frame] = at
-        if at in single:
-            roots[frame] = min(seen[seen.index(single[at]) :])
-    loops = {root for root in roots.values() if root in single}
-    found += [
-        f"frame {frame} hangs on itself, in a loop: let each have one parent" for frame in sorted(loops)
-    ]
-    tops = sorted(set(roots.values()))
-    if len(tops) > 1:
-        trees = ", ".join(tops)
-        found.append(f"{len(tops)} trees that nothing connects ({trees}): record the transform between them")
-    found += [
-        f"{topic} is given in frame {frame}, which no transform knows: record /tf_static from its start"
-        for frame, topic in sorted(used.items())
-        if frame not in roots
-    ]
-    return found
 
 
 @dataclass(frozen=True)
@@ -161,11 +109,12 @@ def _digest(file: Path) -> str:
 
 
 def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
-    wheels, names = topics.wheels, topics.topics
+    names, robot = topics.topics, nominal if nominal is not None else Nominal()
     tracker = TrackerRows()
-    joints = JointRows(file, wheels.topic, wheels.joints)
     imu = ImuRows(removed=topics.imu is not None and topics.imu.gravity == "removed")
-    rows_of: dict[str, Any] = {"wheels": joints, "imu": imu, "tracker": tracker}
+    rows_of: dict[str, Any] = {"odometry": TwistRows(), "imu": imu, "tracker": tracker}
+    if topics.wheels is not None:
+        rows_of["wheels"] = JointRows(file, topics.wheels.topic, topics.wheels.joints)
     if topics.truth is not None:
         rows_of["truth"] = TruthPoses(file, topics.truth)
     collectors = {topic: rows_of[table] for table, topic in names.items()}
@@ -181,7 +130,12 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
             remedy="name topics with messages in the mapping (`ros2 bag info` counts them), or leave it out",
         )
     times = _times(file, stamps)
-    wheel_s, rows = joints.rows(times[wheels.topic])
+    if topics.wheels is not None:
+        wheel_s, rows = rows_of["wheels"].rows(times[topics.wheels.topic])
+        rows = _signed(topics.wheels, rows)
+    else:
+        twist_s = times[names["odometry"]]
+        wheel_s, rows = rows_of["odometry"].rows(file, names["odometry"], twist_s, robot.geometry)
     truth, repairs = None, dict[str, int]()
     if topics.truth is not None:
         known, planar, repairs = rows_of["truth"].rows()
@@ -190,12 +144,13 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
         LOG.warning("%s: %s", file, problem)
     found = build_recording(
         file.stem,
-        Log(wheel_s, _signed(wheels, rows)),
+        Log(wheel_s, rows),
         truth,
         motion=motion_of(file.stem),
         sources=(str(file),),
-        nominal=nominal,
+        nominal=robot,
         repairs=repairs,
+        of_twist=topics.wheels is None,
     )
     sensors = {names[table]: rows_of[table] for table in ("imu", "tracker") if table in names}
     if not sensors:

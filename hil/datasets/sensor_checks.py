@@ -1,5 +1,6 @@
 """Compares IMU and camera of another robot's bag with its wheels: axes, signs, factors, gravity.
 
+A recorded twist is compared with the ground truth in the same way.
 A wrong mount would not show in the filters: they average it away or reject the sensor. Moves of one second
 are compared, each in the robot's own frame, where neither drift nor a start heading counts. A sensor is
 judged by a motion only where there is enough of it.
@@ -27,6 +28,8 @@ _STRIDE_S, _FINE = 1.0, 50
 _LEAST_RAD, _LEAST_M = 0.3, 0.1
 """Root of the summed squares of the moves from which turning and way are compared."""
 _NEAR, _FACTOR, _ANGLE_RAD = 0.3, 1.25, 0.35
+_TURNED = 2.0
+"""Factor of turning that no slip explains: skid steering turns by half as much again."""
 _LEANS = math.cos(_ANGLE_RAD)
 _MOUNT = "correct its mount_rotation_wxyz, or its frame"
 _NORMS = (
@@ -47,6 +50,7 @@ def sensor_contradictions(recording: Recording, geometry: WheelGeometry, *, on_w
         on_wall: True where gravity lies in the motion plane.
     """
     found = (
+        *_of_twist(recording, geometry),
         *_of_rates(recording, geometry),
         *_of_gravity(recording, on_wall),
         *_of_camera(recording, geometry),
@@ -54,36 +58,64 @@ def sensor_contradictions(recording: Recording, geometry: WheelGeometry, *, on_w
     return [f"{recording.name}: {line}" for line in found]
 
 
-def _moves_by_wheels(recording: Recording, edges_s: Array, geometry: WheelGeometry) -> Array:
+def moves_by_wheels(recording: Recording, edges_s: Array, geometry: WheelGeometry) -> Array:
     """Moves (S, 3) between edges (S + 1,), each in the frame of its begin."""
     fine_s = np.linspace(edges_s[0], edges_s[-1], (len(edges_s) - 1) * _FINE + 1)
     rotation, steering = wheel_steps(recording, fine_s, "position")
     vectors = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
-    return _moves(integrate(np.zeros(3), twist_of_vectors(geometry, vectors))[::_FINE])
+    return moves(integrate(np.zeros(3), twist_of_vectors(geometry, vectors))[::_FINE])
 
 
-def _moves(poses: Array) -> Array:
+def moves(poses: Array) -> Array:
+    """Moves (S, 3) between poses (S + 1, 3), each in the frame of its begin."""
     x, y, turn = np.diff(poses, axis=0).T
     way = (x + 1j * y) * np.exp(-1j * poses[:-1, 2])
     return np.column_stack([way.real, way.imag, turn])
 
 
-def _edges(recording: Recording, t_s: Array) -> Array:
+def stride_edges(recording: Recording, t_s: Array) -> Array:
     """Edges (S + 1,) of the strides that wheels and a sensor share, s."""
     begin_s, end_s = max(recording.t_s[0], t_s[0]), min(recording.t_s[-1], t_s[-1])
     return np.asarray(np.arange(begin_s, end_s, _STRIDE_S), dtype=np.float64)
 
 
-def _of_rates(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
+def turns_by_gyro(recording: Recording) -> tuple[Array, Array]:
+    """Edges (S + 1,), s, and turns (S, 3) between them about the robot's axes, rad; empty without a gyro."""
     samples = [one for one in recording.sensors.imu if one.status is Status.OK]
     t_s = np.array([one.stamp.t_ns for one in samples]) / NS_PER_S
-    if len(t_s) < 2 or len(edges_s := _edges(recording, t_s)) < 2:
-        return
+    if len(t_s) < 2 or len(edges_s := stride_edges(recording, t_s)) < 2:
+        return np.zeros(0), np.zeros((0, 3))
     mount = recording.sensors.parameters.imu.rotation_wxyz
     rates = np.array([quat_rotate(mount, one.gyro_rad_s) for one in samples])
     middle = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t_s)[:, None]
-    turned = np.diff(interpolate(edges_s, t_s, np.vstack([np.zeros(3), np.cumsum(middle, axis=0)])), axis=0)
-    true = _moves_by_wheels(recording, edges_s, geometry)[:, 2]
+    turned = np.vstack([np.zeros(3), np.cumsum(middle, axis=0)])
+    return edges_s, np.diff(interpolate(edges_s, t_s, turned), axis=0)
+
+
+def moves_by_camera(recording: Recording) -> tuple[Array, Array]:
+    """Edges (S + 1,), s, and moves (S, 3) between them by the camera; empty without one."""
+    log = recording.sensors
+    alignment = Alignment(replace(log.parameters, on_wall=False))
+    poses = [p for p in alignment.measure(Inputs(0, 0, tracker=log.tracker)).tracker if p.valid]
+    t_s = np.array([one.stamp.t_ns for one in poses]) / NS_PER_S
+    if len(t_s) < 2 or len(edges_s := stride_edges(recording, t_s)) < 2:
+        return np.zeros(0), np.zeros((0, 3))
+    return edges_s, moves(interpolate(edges_s, t_s, np.array([one.pose for one in poses])))
+
+
+def moves_by_truth(recording: Recording) -> tuple[Array, Array]:
+    """Edges (S + 1,), s, and moves (S, 3) between them by the ground truth; empty without it."""
+    t_s = recording.truth_t_s
+    if not recording.has_truth or len(edges_s := stride_edges(recording, t_s)) < 2:
+        return np.zeros(0), np.zeros((0, 3))
+    return edges_s, moves(interpolate(edges_s, t_s, recording.truth_pose))
+
+
+def _of_rates(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
+    edges_s, turned = turns_by_gyro(recording)
+    if not len(turned):
+        return
+    true = moves_by_wheels(recording, edges_s, geometry)[:, 2]
     whole = float(np.linalg.norm(true))
 
     def missed(other: Array) -> float:
@@ -123,17 +155,32 @@ def _of_gravity(recording: Recording, on_wall: bool) -> Iterator[str]:
 
 
 def _of_camera(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
-    log = recording.sensors
-    alignment = Alignment(replace(log.parameters, on_wall=False))
-    poses = [p for p in alignment.measure(Inputs(0, 0, tracker=log.tracker)).tracker if p.valid]
-    t_s = np.array([one.stamp.t_ns for one in poses]) / NS_PER_S
-    if len(t_s) < 2 or len(edges_s := _edges(recording, t_s)) < 2:
+    edges_s, seen = moves_by_camera(recording)
+    if not len(seen):
         return
-    seen = _moves(interpolate(edges_s, t_s, np.array([one.pose for one in poses])))
-    true = _moves_by_wheels(recording, edges_s, geometry)
-    if float(np.linalg.norm(true[:, 2])) > _LEAST_RAD and float(seen[:, 2] @ true[:, 2]) < 0.0:
-        yield f"[tracker]: it turns against the wheels: {_MOUNT}"
+    true = moves_by_wheels(recording, edges_s, geometry)
+    yield from _of_moves("[tracker]", "the wheels", seen, true, (_MOUNT, "look at scale and unit"))
+
+
+def _of_twist(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
+    edges_s, true = moves_by_truth(recording)
+    if not recording.of_twist or not len(true):
         return
+    by_twist = moves_by_wheels(recording, edges_s, geometry)
+    remedies = ("look at its axes (x forward, y left), or at the mount of [truth]", "look at its unit (m/s)")
+    yield from _of_moves("[odometry]", "the ground truth", by_twist, true, remedies)
+
+
+def _of_moves(table: str, other: str, seen: Array, true: Array, remedies: tuple[str, str]) -> Iterator[str]:
+    """Lines on moves (S, 3) of a table's sensor that contradict the `other`'s; remedies: axes, unit."""
+    axes, unit = remedies
+    whole = float(np.linalg.norm(true[:, 2]))
+    turns = float(seen[:, 2] @ true[:, 2]) / max(whole, _LEAST_RAD) ** 2
+    if whole > _LEAST_RAD and turns < 0.0:
+        yield f"{table}: it turns against {other}: {axes}"
+        return
+    if table == "[odometry]" and whole > _LEAST_RAD and not 1.0 / _TURNED < turns < _TURNED:
+        yield f"{table}: it turns {turns:.3g} times as far as {other}: look at its unit (rad/s)"
     way = true[:, 0] + 1j * true[:, 1]
     size = float(np.linalg.norm(way))
     if size < _LEAST_M:
@@ -141,6 +188,6 @@ def _of_camera(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
     ratio = complex(np.vdot(way, seen[:, 0] + 1j * seen[:, 1])) / size**2
     if abs(angle := math.atan2(ratio.imag, ratio.real)) > _ANGLE_RAD and abs(ratio) > _NEAR:
         degrees = math.degrees(angle)
-        yield f"[tracker]: its way is turned by {degrees:.0f} deg about z from that of the wheels: {_MOUNT}"
+        yield f"{table}: its way is turned by {degrees:.0f} deg about z from that of {other}: {axes}"
     elif not 1.0 / _FACTOR < abs(ratio) < _FACTOR:
-        yield f"[tracker]: its way is {abs(ratio):.3g} times that of the wheels: look at scale and unit"
+        yield f"{table}: its way is {abs(ratio):.3g} times that of {other}: {unit}"

@@ -1,4 +1,4 @@
-"""Topic mapping of another robot's bag, in TOML: its wheels, its ground truth, its IMU and its camera.
+"""Topic mapping of another robot's bag, in TOML: wheels or twist, ground truth, IMU and camera.
 
 ::
 
@@ -11,6 +11,8 @@
     drive_sign = [1, 1, 1, 1]                  # optional, as are the next two
     steer_sign = [1, 1, 1, 1]
     steer_zero_rad = [0.0, 0.0, 0.0, 0.0]
+    [odometry]                                 # in place of [wheels]: the body's velocity, of any drive train
+    topic = "/odom"                            # Odometry, TwistWithCovarianceStamped or TwistStamped
     [truth]                                    # optional for `hil replay` and `hil export`
     topic = "/mocap/pose"                      # PoseStamped, PoseWithCovarianceStamped or Odometry
     up_axis = "z"                              # optional, as are the next two
@@ -86,6 +88,12 @@ class WheelTopic(_Strict):
         return self
 
 
+class OdometryTopic(_Strict):
+    """Twist of the body (x forward, y left, z upwards; m/s, rad/s) by the odometry of any drive train."""
+
+    topic: str
+
+
 class TruthTopic(_Strict):
     """Ground truth of a body fixed to the robot, in a frame whose up axis is normal to the surface.
 
@@ -149,7 +157,7 @@ class TrackerTopic(SensorTopic):
 
 
 class TopicMap(_Strict):
-    """Topics of a bag: wheels, ground truth, IMU and camera.
+    """Topics of a bag: wheels, or the twist by them, ground truth, IMU and camera.
 
     Attributes:
         body_frame: frame of the robot in `/tf_static`: x forward, y left, origin between the wheels.
@@ -157,7 +165,8 @@ class TopicMap(_Strict):
 
     schema_version: Literal[2] = Field(alias="schema")
     body_frame: str = "base_link"
-    wheels: WheelTopic
+    wheels: WheelTopic | None = None
+    odometry: OdometryTopic | None = None
     truth: TruthTopic | None = None
     imu: ImuTopic | None = None
     tracker: TrackerTopic | None = None
@@ -165,11 +174,14 @@ class TopicMap(_Strict):
     @property
     def topics(self) -> dict[str, str]:
         """Topic of each table that is there."""
-        tables = {name: getattr(self, name) for name in ("wheels", "truth", "imu", "tracker")}
+        tables = {name: getattr(self, name) for name in ("wheels", "odometry", "truth", "imu", "tracker")}
         return {name: table.topic for name, table in tables.items() if table is not None}
 
     @model_validator(mode="after")
     def _topics_of_their_own(self) -> TopicMap:
+        if (self.wheels is None) == (self.odometry is None):
+            how = "neither [wheels] nor [odometry]" if self.wheels is None else "[wheels] and [odometry]"
+            raise ValueError(f"it has {how}: give the joints of four steered wheels, or a twist")
         table_of: dict[str, str] = {}
         for table, topic in self.topics.items():
             if topic in table_of:

@@ -113,7 +113,7 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
     Raises:
         DataError: names the first file, and the columns that may be wrong.
     """
-    recordings = [one for one in recordings if not one.contradictions]
+    recordings = [one for one in recordings if not one.contradictions and not one.of_twist]
     if not recordings:
         return
     found = wrong_signs(recordings, nominal)
@@ -167,13 +167,17 @@ def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     """One line if wheels of this geometry miss more than a fifth of the true way or turning; else none.
 
     Slip bursts and corrupted stretches miss up to 0.16, workshop tolerances a few hundredths. One steering
-    angle with the wrong sign misses 0.25 on a circle, two exchanged wheels 0.5.
+    angle with the wrong sign misses 0.25 on a circle, two exchanged wheels 0.5. A recorded twist is compared
+    by `hil.datasets.sensor_checks`.
     """
     impossible = [one for one in recordings if one.contradictions]
     if impossible:
         first, *others = impossible
         more = _likewise([one.name for one in others])
         return [f"{first.name}: {first.contradictions[0]}{more}; {LEAVE_OUT}"]
+    recordings = [one for one in recordings if not one.of_twist]
+    if not recordings:
+        return []
     strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
     missed = strides.missed(strides.rolled(), strides.moved())
     found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]

@@ -29,7 +29,8 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.sensor_checks import sensor_contradictions
-from hil.datasets.topic_map import read_topic_map
+from hil.datasets.slip_factors import SlipFactors, slip_factors
+from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
 from hil.datasets.wrong_signs import check_signs, contradictions
@@ -113,6 +114,11 @@ class OpenedRecording:
         return list(chain.from_iterable(found))
 
     @property
+    def slip(self) -> SlipFactors | None:
+        """Slip factors of a recorded twist; None for wheels, or where nothing moves beside it."""
+        return slip_factors([one for one in self.tables if one.of_twist])
+
+    @property
     def _with_truth(self) -> list[Recording]:
         return [one for one in self.tables if one.has_truth]
 
@@ -168,8 +174,13 @@ def open_recording(
         robot, tables = nominal_of(config), list[Recording]()
         if coupling is None and calibration is not None:
             coupling = coupling_of(read_calibration(calibration))
-        found = _read_foreign(path, topics, truth, coupling, robot, tables, config.environment.on_wall)
+        mapping = None if topics is None else read_topic_map(topics)
+        if mapping is not None and mapping.odometry is not None and calibration is not None:
+            raise UsageError("--calibration is of wheels, and [odometry] of --topics gives a twist")
+        found = _read_foreign(path, mapping, truth, coupling, robot, tables, config.environment.on_wall)
         made, failed = _bench(config, None, calibration, {}, known=bench is not None)
+        if mapping is not None and mapping.odometry is not None:
+            made = made.with_estimator(made.config.estimator.of_a_twist())
         if calibration is not None:
             robot = replace(robot, source=str(calibration))
         named = bench is not None
@@ -231,7 +242,7 @@ def _geometry(header: Mapping[str, Any], path: Path) -> WheelGeometry | None:
 
 def _read_foreign(
     path: Path,
-    topics: Path | None,
+    topics: TopicMap | None,
     truth: TruthFile | None,
     coupling: Coupling | None,
     robot: Nominal,
@@ -240,7 +251,7 @@ def _read_foreign(
 ) -> Any:
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
-        found = read_bag(path, read_topic_map(topics), robot)
+        found = read_bag(path, topics, robot)
         parts = [replace(part, later=()) for part in (found, *found.later)]
         if not found.has_truth:
             tables.extend(decoupled(parts, robot.geometry, coupling))

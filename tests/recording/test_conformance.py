@@ -17,7 +17,7 @@ from recorded import HEADER, messages, recorded
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, AdhesionSample, LoadCellSample, Status, ThrustSample
-from hil.datasets.rosbag import broken_frames, problems_of
+from hil.datasets.frame_tree import broken_frames, problems_of
 from hil.recording.topics import topics_with
 from hil.recording.transform_tree import describe_clock
 

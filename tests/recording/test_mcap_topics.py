@@ -19,7 +19,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.datasets.rosbag import broken_frames, read_bag
+from hil.datasets.frame_tree import broken_frames
+from hil.datasets.rosbag import read_bag
 from hil.datasets.topic_map import read_topic_map
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
