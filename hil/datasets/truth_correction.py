@@ -6,7 +6,7 @@ common is corrected and said. A recording whose body differs from that of the ot
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,16 +14,15 @@ import numpy as np
 from hil.core.geometry import Array
 from hil.datasets.dataset import Recording
 from hil.datasets.sampling import is_slow
+from hil.datasets.truth_deviations import SCALE_STD, STDS, beyond, beyond_alone, significant, typical
 from hil.datasets.truth_fit import TruthFit, truth_fit
 
 _LATE_S, _PERIODS = 0.03, 0.1
-_FAST, _STDS = 5e-4, 4.0
-_HEADING_RAD, _HEADING_STD_RAD, _OTHER_RAD, _FAR_RAD = 0.03, 0.01, 0.06, 1.0
+_FAST, _FAST_ALONE = 5e-4, 1e-3
+_HEADING_RAD, _HEADING_STD_RAD, _OTHER_RAD, _FAR_RAD = 0.03, 0.01, 0.04, 1.0
 _REVERSE_RAD = 2.6
 _CENTRE_M, _CENTRE_STD_M, _OTHER_M = 0.01, 3e-3, 0.02
-_DRIFT_RAD_S, _DRIFT_STD_RAD_S, _SKEW, _SKEW_STD = 1.5e-3, 2.5e-3, 0.01, 0.01
-_SCALE, _SCALE_STD = 0.03, 0.005
-_WOBBLE_S, _WOBBLE_STDS = 0.04, 2.0
+_SCALE = 0.03
 FAR = 0.08
 """Share by which distances may differ; beyond it the geometry is that of another robot."""
 EITHER_SCALE = (
@@ -39,7 +38,8 @@ class _Found:
 
     Attributes:
         late: True for each recording whose ground truth is late or early.
-        fast: share by which the clock of the ground truth runs fast.
+        fast: share by which the clock of the ground truth of each recording runs fast.
+        typical_scale: distance by ground truth over distance by wheels in most recordings.
         typical_rad: heading of the ground truth minus the robot's in most recordings.
         heading_rad: the same, 0 where it is not corrected.
         centre_m: tracked point (x + iy) in the frame of the body.
@@ -48,7 +48,8 @@ class _Found:
     """
 
     late: Sequence[bool]
-    fast: float
+    fast: Sequence[float]
+    typical_scale: float
     typical_rad: float
     heading_rad: float
     centre_m: complex
@@ -60,17 +61,19 @@ def corrected(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings with corrected ground truth; their `notes` say how.
 
     Stamps are corrected from 0.03 s on (with slow ground truth a tenth of its period more), a fast clock from
-    0.05 %, a heading from 0.03 rad, a centre from 10 mm. A heading that is 0.06 rad from that of most other
-    recordings, or a centre that is 20 mm from theirs, is of another body: `contradictions` say so. A heading
-    that is more than a radian off is not corrected, it contradicts; half a turn is left to `wrong_signs`.
-    What is no clock, heading or centre is not corrected either: axes of another scale or sheared by 2 %,
-    a heading that drifts by 1.5 mrad/s, a clock that runs unevenly by 0.04 s. Each has to be four times its
-    standard error, the last one twice in most recordings.
+    0.05 % (0.1 % in a single recording), a heading from 0.03 rad, a centre from 10 mm. A heading that is 0.04
+    rad from that of most other recordings, or a centre that is 20 mm from theirs, is of another body:
+    `contradictions` say so. A heading that is more than a radian off is not corrected, it contradicts; half a
+    turn is left to `wrong_signs`. What is no clock, heading or centre is not corrected either: axes of
+    another scale or sheared by 2 %, a heading that drifts by 1.5 mrad/s, a clock that runs unevenly by
+    0.04 s. Each has to be four times its standard error, the last one twice in most recordings. A single
+    recording contradicts from 3 % (axes), 2 mrad/s, or 4 % (scale of all positions) on.
     """
     fits = [None if one.contradictions else truth_fit(one) for one in recordings]
     found = _common(recordings, fits)
     return [
-        _corrected(one, fit, late, found) for one, fit, late in zip(recordings, fits, found.late, strict=True)
+        _corrected(one, fit, late, fast, found)
+        for one, fit, late, fast in zip(recordings, fits, found.late, found.fast, strict=True)
     ]
 
 
@@ -85,73 +88,46 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
         fit is not None and abs(fit.late_s) >= _worth_s(one)
         for one, fit in zip(recordings, fits, strict=True)
     ]
-    fast = _typical([fit.fast for fit in known])
-    if abs(fast) < max(_FAST, _STDS * _error([fit.fast for fit in known], [fit.fast_std for fit in known])):
+    fast = typical([fit.fast for fit in known])
+    if abs(fast) < max(_FAST, STDS * _error([fit.fast for fit in known], [fit.fast_std for fit in known])):
         fast = 0.0
+    fasts = [fast if fit is None or not _fast_alone(fit, fast) else fit.fast for fit in fits]
+    alone = {one.name: own for one, own in zip(recordings, fasts, strict=True) if own != fast}
     headings = [(complex(fit.heading_rad), fit.heading_std_rad) for fit in known]
     heading, by_ways = _agreed(headings, _HEADING_STD_RAD, _OTHER_RAD)
     centre_m, by_turns = _agreed([(fit.centre_m, fit.centre_std_m) for fit in known], _CENTRE_STD_M, _OTHER_M)
     heading_rad = heading.real if abs(heading) >= _HEADING_RAD else 0.0
     centre_m = centre_m if abs(centre_m) >= _CENTRE_M else 0j
-    delays_s = [fit.late_s for fit, is_late in zip(fits, late, strict=True) if fit and is_late]
-    notes, contradiction = _of_clocks(delays_s, fast, len(known)), tuple[str, ...]()
+    delays_s = [
+        fit.late_s
+        for fit, is_late, own in zip(fits, late, fasts, strict=True)
+        if fit and is_late and own == fast
+    ]
+    notes, contradiction = _of_clocks(delays_s, fast, len(known), alone), tuple[str, ...]()
+    scales = [(complex(fit.scale), fit.scale_std) for fit in known if fit.scale_std < SCALE_STD]
+    typical_scale = typical([scale.real for scale, _ in scales]) if scales else 1.0
     far, typical_rad = abs(heading_rad) > _FAR_RAD, heading.real
     if far and abs(heading_rad) < _REVERSE_RAD:
         contradiction = (
             f"its ground truth moves {_angle(-heading_rad)} beside the direction in which the wheels roll: "
             "set the heading of its body, or mount_rotation_wxyz of [truth]; or x and y are exchanged",
         )
-    if contradiction := contradiction or _beyond(known):
-        return _Found([False] * len(fits), 0.0, typical_rad, 0.0, 0j, (), contradiction)
+    if contradiction := contradiction or beyond(known):
+        still = [0.0] * len(fits)
+        return _Found([False] * len(fits), still, typical_scale, typical_rad, 0.0, 0j, (), contradiction)
     if far:
         heading_rad, centre_m = 0.0, 0j
     notes += _of_body(heading_rad, by_ways, complex(centre_m * np.exp(1j * heading_rad)), by_turns)
-    notes += _of_scale([fit.scale for fit in known if fit.scale_std < _SCALE_STD])
-    return _Found(late, fast, typical_rad, heading_rad, centre_m, notes, contradiction)
+    notes += _of_scale([(scale - 1.0, std) for scale, std in scales])
+    return _Found(late, fasts, typical_scale, typical_rad, heading_rad, centre_m, notes, contradiction)
 
 
-def _beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
-    """What is wrong with the ground truth of a set that no clock, heading or centre explains, in words."""
-    out = []
-    skew = _significant([(fit.skew, fit.skew_std) for fit in known], _SKEW, _SKEW_STD)
-    drift_rad_s = _significant(
-        [(complex(fit.drift_rad_s), fit.drift_std_rad_s) for fit in known], _DRIFT_RAD_S, _DRIFT_STD_RAD_S
-    ).real
-    uneven_s = [
-        fit.wobble_s for fit in known if fit.wobble_s > max(_WOBBLE_S, _WOBBLE_STDS * fit.wobble_std_s)
-    ]
-    if skew:
-        out.append(
-            f"lengths in its ground truth depend on their direction, by {200 * abs(skew):.1f} % (paths on "
-            "which the body turns): one axis has another scale, or the axes are not at right angles; "
-            "calibrate the capture system again"
-        )
-    if drift_rad_s:
-        out.append(
-            f"the heading of its ground truth drifts by {drift_rad_s:.4f} rad/s from that of the wheels, at "
-            "rest as well; look at what gives the heading (a gyroscope, markers that come loose)"
-        )
-    if 2 * len(uneven_s) > len(known):
-        out.append(
-            f"the clock of its ground truth runs unevenly, by about {_typical(uneven_s):.2f} s in a "
-            "recording (neither a delay nor a stretch); stamp both logs by one clock"
-        )
-    return tuple(out)
+def _fast_alone(fit: TruthFit, fast: float) -> bool:
+    """Whether the clock of one ground truth runs otherwise than those of the others."""
+    return abs(fit.fast - fast) > max(_FAST_ALONE, STDS * fit.fast_std)
 
 
-def _significant(measured: Sequence[tuple[complex, float]], least: float, std: float) -> complex:
-    """Mean, by weight, of values known to `std`; 0 where it is below `least` or four standard errors."""
-    weights = [(value, own**-2) for value, own in measured if 0.0 < own < std]
-    if not weights:
-        return 0j
-    total = sum(weight for _, weight in weights)
-    typical = complex(*(_typical([part(v) for v, _ in weights]) for part in (np.real, np.imag)))
-    mean = sum(value * weight for value, weight in weights) / total
-    sure = min(abs(mean), abs(typical)) >= max(least, _STDS * total**-0.5)
-    return mean if sure else 0j
-
-
-def _corrected(one: Recording, fit: TruthFit | None, late: bool, found: _Found) -> Recording:
+def _corrected(one: Recording, fit: TruthFit | None, late: bool, fast: float, found: _Found) -> Recording:
     """A recording with its own delay, and with what is common to all, taken out of its ground truth."""
     unlike = found.contradiction or _unlike(fit, found)
     if not found.notes and not unlike:
@@ -159,10 +135,10 @@ def _corrected(one: Recording, fit: TruthFit | None, late: bool, found: _Found) 
     pose, middle_s = one.truth_pose.copy(), 0.5 * float(one.truth_t_s[0] + one.truth_t_s[-1])
     tracked_m = found.centre_m * np.exp(1j * pose[:, 2])
     pose -= np.column_stack([tracked_m.real, tracked_m.imag, np.full(len(pose), found.heading_rad)])
-    late_s = fit.late_s if fit is not None and (late or found.fast) else 0.0
+    late_s = fit.late_s if fit is not None and (late or fast) else 0.0
 
     def at(stamps_s: Array) -> Array:
-        return np.asarray(stamps_s - late_s - found.fast * (stamps_s - middle_s), dtype=np.float64)
+        return np.asarray(stamps_s - late_s - fast * (stamps_s - middle_s), dtype=np.float64)
 
     return replace(
         one,
@@ -178,11 +154,15 @@ def _unlike(fit: TruthFit | None, found: _Found) -> tuple[str, ...]:
     """Why a recording is of another body than the others."""
     if fit is None:
         return ()
-    out = []
+    if out := list(beyond_alone(fit, found.typical_scale)):
+        return tuple(out)
     off_rad, off_m = fit.heading_rad - found.typical_rad, fit.centre_m - found.centre_m
     off_rad = (off_rad + np.pi) % (2.0 * np.pi) - np.pi
-    if fit.heading_std_rad < _HEADING_STD_RAD and abs(off_rad) > _OTHER_RAD:
-        out.append(f"the heading of its ground truth is {off_rad:.2f} rad off that of the other recordings")
+    if fit.heading_std_rad < _HEADING_STD_RAD and abs(off_rad) > max(_OTHER_RAD, STDS * fit.heading_std_rad):
+        out.append(
+            f"the heading of its ground truth is {off_rad:.2f} rad off that of the other recordings, or all "
+            f"its steering angles are {-off_rad:.2f} rad off theirs (a limit, zeros that were set anew)"
+        )
     if fit.centre_std_m < _CENTRE_STD_M and abs(off_m) > _OTHER_M:
         out.append(
             f"its ground truth tracks a point {1e3 * abs(off_m):.0f} mm from that of the other recordings"
@@ -199,18 +179,13 @@ def _agreed(measured: Sequence[tuple[complex, float]], std: float, tolerance: fl
     known = [value for value, own in measured if own < std]
 
     def agree(value: complex) -> int:
-        return sum(abs(other - value) <= max(tolerance, _STDS * own) for other, own in measured)
+        return sum(abs(other - value) <= max(tolerance, STDS * own) for other, own in measured)
 
     if not known:
         return 0j, 0
     best = max([0j, *known], key=lambda value: (agree(value), -abs(value)))
     near = [value for value in known if abs(value - best) <= tolerance]
-    return complex(_typical([v.real for v in near]), _typical([v.imag for v in near])), len(near)
-
-
-def _typical(values: Sequence[float]) -> float:
-    """The lower median; 0 of nothing."""
-    return float(sorted(values)[(len(values) - 1) // 2]) if values else 0.0
+    return complex(typical([v.real for v in near]), typical([v.imag for v in near])), len(near)
 
 
 def _error(values: Sequence[float], stds: Sequence[float]) -> float:
@@ -227,7 +202,18 @@ def _worth_s(recording: Recording) -> float:
     return _LATE_S + (_PERIODS * float(np.median(np.diff(at_s))) if is_slow(at_s) else 0.0)
 
 
-def _of_clocks(late_s: Sequence[float], fast: float, known: int) -> tuple[str, ...]:
+def _of_clocks(
+    late_s: Sequence[float], fast: float, known: int, alone: Mapping[str, float]
+) -> tuple[str, ...]:
+    """What is corrected of the clocks; `alone` holds those of single recordings, by name."""
+    if alone:
+        runs = ", ".join(f"{100 * own:+.2f} % in {name}" for name, own in alone.items())
+        rest = _of_clocks(late_s, fast, known, {})
+        return (
+            f"the clock of the ground truth runs at another rate than that of the wheels: {runs}; these "
+            "stamps are corrected",
+            *rest,
+        )
     if fast:
         word = "fast" if fast > 0 else "slow"
         return (
@@ -236,7 +222,7 @@ def _of_clocks(late_s: Sequence[float], fast: float, known: int) -> tuple[str, .
         )
     if not late_s:
         return ()
-    typical_s = _typical(late_s)
+    typical_s = typical(late_s)
     word = "later" if typical_s > 0 else "earlier"
     return (
         f"the ground truth moves {abs(typical_s):.2f} s {word} than the wheels ({len(late_s)} recordings, "
@@ -263,12 +249,13 @@ def _of_body(heading_rad: float, by_ways: int, centre_m: complex, by_turns: int)
     return tuple(out)
 
 
-def _of_scale(scales: Sequence[float]) -> tuple[str, ...]:
-    scale = _typical(scales) if scales else 1.0
+def _of_scale(off: Sequence[tuple[complex, float]]) -> tuple[str, ...]:
+    """Note on a scale of all positions, by shares `off` that the distances differ, and standard errors."""
+    scale = 1.0 + significant(off, _SCALE, SCALE_STD).real
     if not _SCALE <= abs(scale - 1.0) <= FAR:
         return ()
     return (
-        f"by ground truth the robot goes {scale:.3f} times as far as its wheels roll ({len(scales)} "
+        f"by ground truth the robot goes {scale:.3f} times as far as its wheels roll ({len(off)} "
         f"recordings): {EITHER_SCALE}. Nothing is corrected: measure a path with a tape",
     )
 

@@ -237,6 +237,34 @@ def test_what_no_clock_heading_or_centre_explains_is_refused_as_what_it_is(perfe
         assert re.search(named, said), said
 
 
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (lambda one: stretched(one, [[1.0, 0.0], [0.0, 1.05]]), "depend on their direction"),
+        (lambda one: stretched(one, 1.05 * np.eye(2)), r"are 1\.0[45]\d times those of the other"),
+        (lambda one: drifting(one, 0.004), r"drifts by 0\.00[34]\d rad/s"),
+        (lambda one: turned(one, 0.05), r"is 0\.05 rad off .* or all its steering angles are -0\.05 rad off"),
+    ],
+    ids=["one axis longer", "all longer", "drift", "heading"],
+)
+def test_what_is_wrong_with_one_recording_is_named_there_alone(perfect, spoil, named):
+    """Number 4 is a circle, in which axes show; number 0 a line, in which lengths, drift and heading do."""
+    number = 4 if "direction" in named else 0
+    found = corrected([spoil(one) if k == number else one for k, one in enumerate(perfect)])
+    (said,) = found[number].contradictions
+    assert re.search(named, said), said
+    assert not any(one.contradictions for k, one in enumerate(found) if k != number)
+
+
+def test_the_clock_of_one_recording_is_corrected_there_alone(perfect):
+    spoilt = [fast(perfect[0], 0.005), *perfect[1:]]
+    (line,) = notes_of(put_right := corrected(spoilt))
+    assert f"+0.50 % in {perfect[0].name}; these stamps are corrected" in line
+    assert error_mm(put_right) < 1.1 * error_mm(perfect) + 0.1
+    for one, same in zip(put_right[1:], perfect[1:], strict=True):
+        np.testing.assert_array_equal(one.truth_t_s, same.truth_t_s)
+
+
 def test_a_clock_that_runs_unevenly_is_no_stretch():
     """Shown by a motion that stops on its way."""
     robot = HiddenRobot(CAD, np.ones(4))
