@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hil.fakes.tracker.librealsense_frames import PoseFrame
+from hil.fakes.tracker.pose_errors import seen_drift_m, seen_scale
 from hil.fakes.tracker.visual_odometry import CameraPose, Quaternion, Vector
 from hil.faults.fault import Fault, Supported
 from hil.faults.messages import ARRIVAL_FAULTS, Messages
@@ -25,8 +26,7 @@ SUPPORTED_FAULTS: Supported = {
     **ARRIVAL_FAULTS,
 }
 
-_WRONG_SCALE, _JUMP_M = 1.2, 0.1
-_DRIFTS = ("drift_x_m_s", "drift_y_m_s")
+_JUMP_M = 0.1
 _NAN = math.nan
 _NO_VECTOR = Vector(_NAN, _NAN, _NAN)
 _NOT_A_POSE = CameraPose(_NO_VECTOR, _NO_VECTOR, Quaternion(_NAN, _NAN, _NAN, _NAN), _NO_VECTOR)
@@ -91,18 +91,3 @@ class TrackerFaults(DeviceFaults):
             Vector(*values[:3]), Vector(*values[3:6]), Quaternion(*values[6:10]), Vector(*values[10:])
         )
         return frame._replace(pose=pose, confidence=int(self._rng.integers(0, 4)))
-
-
-def seen_scale(fault: Fault | None) -> float:
-    """Factor of a `wrong` fault on the measured motion; 1 if the fault concerns something else."""
-    if fault is None or ("scale" not in fault.options and fault.options):
-        return 1.0
-    return fault.option("scale", _WRONG_SCALE)
-
-
-def seen_drift_m(fault: Fault | None, dt_s: float) -> tuple[float, float]:
-    """Additional motion that a `wrong` fault adds to a step, in the wall's axes."""
-    if fault is None:
-        return 0.0, 0.0
-    x_m_s, y_m_s = (fault.option(name, 0.0) for name in _DRIFTS)
-    return x_m_s * dt_s, y_m_s * dt_s

@@ -19,7 +19,7 @@ from hil.devices.imu.microstrain.emulated_commands import Commands, Settings
 from hil.devices.imu.microstrain.emulated_sensing import Fused, MicrostrainTruthOptions, Sensing
 from hil.devices.imu.microstrain.mip_packets import Field, Packet, PacketParser, encode
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.imu.bno055_faults import InertialFaults
+from hil.fakes.imu.inertial_faults import InertialFaults
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, World
 from hil.faults.fault import Supported

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from hil.devices.tracker.mavlink.emulated_odometry import Estimate
-from hil.fakes.tracker.t265_faults import seen_drift_m, seen_scale
+from hil.fakes.tracker.pose_errors import seen_drift_m, seen_scale
 from hil.faults.fault import IN, Fault, Supported
 from hil.faults.messages import FRAME_FAULTS, Messages, declared
 from hil.faults.plan import DeviceFaults, FaultPlan
