@@ -68,10 +68,10 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "left_out": ("hil/loop/checks/exclusion.py", (_SENSES[1], "tests/core/test_supervisor.py")),
     "stream_watch": ("hil/loop/checks/sensor_rate.py", (_STREAMS,)),
     "sample_watch": ("hil/loop/checks/sensor_status.py", ("tests/core/test_sample_watch.py", _STREAMS)),
-    "goals": ("hil/drivers/servos/goal_values.py", _SERVOS),
-    "outage": ("hil/drivers/servos/answer_timeouts.py", _SERVOS),
+    "goals": ("hil/drivers/servos/dynamixel/goal_values.py", _SERVOS),
+    "outage": ("hil/drivers/servos/dynamixel/answer_timeouts.py", _SERVOS),
     "roll_call": (
-        "hil/drivers/servos/late_servos.py",
+        "hil/drivers/servos/dynamixel/late_servos.py",
         ("tests/servos/test_roll_call_by_itself.py", "tests/servos/test_servo_roll_call.py"),
     ),
     "limits": (
@@ -111,7 +111,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
         "hil/procedure/measurements.py",
         ("tests/procedure/test_measurements_and_parameters.py", "-k", "not run_small and not one_number"),
     ),
-    "looks": ("hil/devices/doctor_watch.py", ("tests/bench/test_looks.py",)),
+    "looks": ("hil/drivers/doctor_watch.py", ("tests/bench/test_looks.py",)),
     "time_offset": ("hil/datasets/time_offset.py", ("tests/calibration/test_time_offset.py",)),
     "origin": ("hil/config/robot_record/origin.py", _RECORDS),
     "plausible": ("hil/config/robot_record/limits.py", _RECORDS),

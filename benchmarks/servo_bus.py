@@ -29,12 +29,13 @@ from hil.config.robot import RobotConfig
 from hil.config.servos import ServosConfig
 from hil.core.clock import MonotonicClock
 from hil.core.signals import ServoSetpoint
-from hil.drivers.servos import DynamixelServos
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
 from hil.fakes.plant import make_plant
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
-from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.servos.dynamixel.chip import ServoBus
+from hil.fakes.servos.dynamixel.true_parameters import ServoBusOptions
 from hil.fakes.world import World, random_stream
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan

@@ -10,8 +10,8 @@ from hil.config.robot import RobotConfig
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
 from hil.fakes.body_interface import JointCommand
-from hil.fakes.mujoco_plant import make_mujoco_plant
 from hil.fakes.plant import SteppedBody, make_plant
+from hil.fakes.plant.mujoco import make_mujoco_plant
 from hil.fakes.world import random_stream
 
 WORLDS = ("own", "creep", "holding")

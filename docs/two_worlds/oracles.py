@@ -13,9 +13,9 @@ from two_worlds.results import Row
 from hil.config.robot import RobotConfig
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array, compose, se2_exp
-from hil.fakes.mujoco_plant import MujocoRobot
-from hil.fakes.mujoco_plant.model import build_model
 from hil.fakes.plant import SteppedBody, WallRobot
+from hil.fakes.plant.mujoco import MujocoRobot
+from hil.fakes.plant.mujoco.model import build_model
 from hil.robot.kinematics import forward, inverse
 from hil.robot.trajectories import circle
 
@@ -114,7 +114,7 @@ def _agreeing(world: str) -> SteppedBody:
     p = replace(p, joints=joints, wheel_radius_m=np.array(radius))
     if world == "own":
         return WallRobot(p, tilt_rad=0.0)
-    from hil.fakes.mujoco_plant import CONTACTS
+    from hil.fakes.plant.mujoco import CONTACTS
 
     return MujocoRobot(build_model(p, CONTACTS[world]), p, tilt_rad=0.0)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hil.bench.hold.result import Held
     from hil.bench.loop_settings import alignment_parameters, safety_limits
     from hil.bench.opening import make_bench_model, open_bench
-    from hil.drivers.servos import set_up
+    from hil.drivers.servos.dynamixel.commissioning import set_up
     from hil.fakes.world import World
     from hil.faults.fault import Fault, make_fault
     from hil.faults.fault import check_kind as check_fault_kind
@@ -45,7 +45,7 @@ else:
         "open_emulation": "hil.bench.emulation",
         "planned_faults": "hil.bench.emulation",
         "safety_limits": "hil.bench.loop_settings",
-        "set_up": "hil.drivers.servos",
+        "set_up": "hil.drivers.servos.dynamixel.commissioning",
         "supported_faults": "hil.bench.emulation",
     }
     __getattr__ = on_first_use(__name__, _OFFERED)

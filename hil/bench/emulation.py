@@ -28,8 +28,8 @@ from hil.core.package_errors import OURS, PackageError, call_in_package
 from hil.core.registry import base_of, kinds
 from hil.core.signals import KINDS
 from hil.datasets.read import read_recordings
-from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Transport
 from hil.fakes.body_interface import Plant
+from hil.fakes.emulated_device import EmulatedDevice, EmulationRequest, Transport
 from hil.fakes.plant import RecordedMotion, RecordedRobot, SteppedBody, make_plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
@@ -121,7 +121,7 @@ def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
     }
     if emulation.plant == "own":
         return make_plant(config.robot, **common)
-    from hil.fakes.mujoco_plant import make_mujoco_plant
+    from hil.fakes.plant.mujoco import make_mujoco_plant
 
     mjcf = None if emulation.mjcf is None else Path(emulation.mjcf)
     return make_mujoco_plant(config.robot, contact=emulation.contact or "creep", mjcf=mjcf, **common)

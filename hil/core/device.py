@@ -124,7 +124,7 @@ def can_open(device: Device) -> bool:
 
 
 class DeviceModel:
-    """One model within a kind. `SerialModel` and `CanModel` of `hil.devices.serial_and_can_models` fit most.
+    """One model within a kind. `SerialModel` and `CanModel` of `hil.drivers.serial_and_can_models` fit most.
 
     Attributes:
         kind: name of the kind.
@@ -133,6 +133,8 @@ class DeviceModel:
         config: its table in the bench file, a subclass of `hil.config.device.DeviceConfig`.
         driver: `package.module:Class` of the driver, which takes (config, clock).
         chip: `package.module:Class` of the emulated device; empty where it cannot be emulated.
+        emulation: `package.module:function` that makes the emulated device from (model, request) and connects
+            it; empty where `chip` has a `build(request)` that does both.
         probe_order: models with a smaller number are probed first: those that answer quickly.
         probe_writes: bytes that `probe` writes to the port, in words; empty where it only listens.
         usb: (vendor, product) ids of adapters that are this model; no `probe` writes to such adapters.
@@ -151,6 +153,7 @@ class DeviceModel:
     config: ClassVar[type[Any]]
     driver: ClassVar[str]
     chip: ClassVar[str] = ""
+    emulation: ClassVar[str] = ""
     probe_order: ClassVar[int] = 5
     probe_writes: ClassVar[str] = ""
     usb: ClassVar[tuple[tuple[int, int], ...]] = ()
@@ -171,7 +174,9 @@ class DeviceModel:
         return device
 
     def emulate(self, request: Any) -> Any:
-        """Build the emulated device for a `hil.devices.emulated_device.EmulationRequest`; not connected."""
+        """Build the emulated device for a `hil.fakes.emulated_device.EmulationRequest`; not connected."""
+        if self.emulation:
+            return import_object(self.emulation)(self, request)
         return import_object(self.chip).build(request)
 
     def wire_of(self, config: Any) -> str:
@@ -191,7 +196,7 @@ class DeviceModel:
         return None
 
     def check(self, watched: Any) -> Iterable[Finding]:
-        """Findings of `hil doctor` on a `hil.devices.doctor_watch.Watched`, besides those of the kind."""
+        """Findings of `hil doctor` on a `hil.drivers.doctor_watch.Watched`, besides those of the kind."""
         return ()
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any] | Connection:
@@ -307,7 +312,7 @@ class DeviceKind:
         return None
 
     def check(self, watched: Any) -> Iterator[Finding]:
-        """Findings of `hil doctor` on a `hil.devices.doctor_watch.Watched`; by default on lost samples."""
+        """Findings of `hil doctor` on a `hil.drivers.doctor_watch.Watched`; by default on lost samples."""
         yield from watched.losses("check cable, supply and settings")
 
     def model(self, name: str) -> DeviceModel:

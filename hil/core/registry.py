@@ -1,7 +1,7 @@
 """Registry of all device kinds and models: the shipped ones and those of installed packages.
 
-The shipped kinds are packages of `hil.devices`, named like the fields of `hil.core.signals.Inputs`;
-each has its `DeviceKind` as `KIND`. An installed package adds kinds, or models to a kind, by entry points
+The shipped kinds are packages of `hil.drivers`, named like the fields of `hil.core.signals.Inputs`; each has
+its `DeviceKind` as `KIND` in `kind.py`. An installed package adds kinds, or models to a kind, by entry points
 of the group `hil.devices`, each of which names a subclass of `DeviceKind` or of `DeviceModel`.
 """
 
@@ -30,7 +30,7 @@ _TAKEN = ("all", "plant", "none", *NO_KINDS)
 _OF_A_KIND = ("name", "noun", "sample", "models")
 _OF_A_MODEL = ("kind", "name", "title", "config", "driver")
 GROUP = "hil.devices"
-_OURS = "hil.devices"
+_OURS = "hil.drivers"
 _EXPECTED = "a subclass of hil.devkit.DeviceKind or hil.devkit.DeviceModel"
 _further = cache(FurtherKind)
 
@@ -208,7 +208,7 @@ def kinds() -> Kinds:
     """
     found: dict[str, DeviceKind] = {}
     for name in KINDS:
-        found[name] = importlib.import_module(f"{_OURS}.{name}").KIND
+        found[name] = importlib.import_module(f"{_OURS}.{name}.kind").KIND
     entries = sorted(entry_points(group=GROUP), key=lambda e: (e.value, e.name))
     items = [(item, _origin(entry)) for entry in entries for item in _loaded(entry)]
     for item, origin in items:

@@ -13,8 +13,8 @@ from hil.core.device import Connection, DeviceKind, DeviceModel, Figures, Force,
 from hil.core.finding import Finding, Level
 from hil.core.geometry import Array
 from hil.core.signals import Inputs, Stamp, Status
-from hil.devices.doctor_watch import Watched, losses
-from hil.devices.serial_and_can_models import CanModel, SerialModel
+from hil.drivers.doctor_watch import Watched, losses
+from hil.drivers.serial_and_can_models import CanModel, SerialModel
 from hil.loop.cycle_data import Check, Cycle, LastingCheck
 
 if TYPE_CHECKING:

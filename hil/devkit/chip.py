@@ -3,8 +3,8 @@
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.device import Connection
 from hil.core.geometry import rotated
-from hil.devices.emulated_device import EmulatedDevice, Transport, Wired, on_serial_line
 from hil.fakes.can_channel import CanChannel
+from hil.fakes.emulated_device import EmulatedDevice, Transport, Wired, on_serial_line
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.streaming_chip import COMMON_FAULTS, CanStreamingNode, SerialStreamingChip, StreamingChip

@@ -3,7 +3,7 @@
 Bytes leave the client's adapter at the baud rate and reach the chip; its reply is paced by the same rate. The
 adapter passes received bytes to the host in packets: a full one at once, the rest when its latency timer
 expires (16 ms as delivered, 1 ms as it should be set). If both ends have different baud rates, each receives
-noise, also when the chip itself checks the rate: `hil.fakes.imu.bno055_uart`. Everything happens in world
+noise, also when the chip itself checks the rate: `hil.fakes.imu.bno055.uart`. Everything happens in world
 time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
 """
 

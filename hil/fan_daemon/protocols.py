@@ -13,7 +13,7 @@ from hil.core.errors import ConfigError, did_you_mean
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.spec import Spec
 from hil.links import vesc
-from hil.links.dronecan import frames as dronecan
+from hil.links.dronecan import messages as dronecan
 from hil.links.vesc import ALL_SERVOS, Packet
 
 Wire = tuple[int, bytes]

@@ -11,7 +11,7 @@ import pytest
 from hil.cli import main
 from hil.config.encoders import SHIPPED_DBC
 from hil.core.errors import Aborted, DeviceError
-from hil.drivers.servos import DynamixelServos
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
 from hil.procedure import acceptance
 from hil.procedure.acceptance import QUESTION, Acceptance, accept
 from hil.procedure.bench_request import BenchSource

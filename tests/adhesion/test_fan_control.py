@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hil.config.adhesion import VescConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError, DeviceError, UsageError
-from hil.fakes.adhesion import AdhesionTruthOptions
-from hil.fakes.adhesion.fan_physics import Demand, Fan
+from hil.fakes.motor_controllers.fan_physics import Demand, Fan
+from hil.fakes.motor_controllers.true_parameters import AdhesionTruthOptions
 from hil.fan_daemon.fan_control import RELEASE, FanControl, SetPoint
 from hil.fan_daemon.spec import Spec
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hil.drivers.adhesion.vesc_settings import PROCESS, SHORT, Answers
+from hil.drivers.motor_controllers.vesc_settings import PROCESS, SHORT, Answers
 
 NO_BYTES = bytes((0, 0, 0, 0, 0, 0))  # sender, command, length 0, and the checksum of nothing, which is 0
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 
 from hil.bench import open_emulation
 from hil.config.loading import load_bench
-from hil.fakes.servos.bus import ServoBus
+from hil.fakes.servos.dynamixel.chip import ServoBus
 from tests.patience import FANLESS
 
 

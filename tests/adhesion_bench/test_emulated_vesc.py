@@ -8,8 +8,8 @@ import pytest
 from worlds import ON, duty_frame, fan_world, heard, keep, send
 
 from hil.config.adhesion import VescConfig
-from hil.fakes.adhesion import vesc_frames
 from hil.fakes.body_interface import JointCommand
+from hil.fakes.motor_controllers import vesc_messages as vesc_frames
 
 VECTORS = json.loads((Path(__file__).parents[1] / "golden" / "vesc_frames.json").read_text())
 DBC = Path(vesc_frames.__file__).parents[2] / "links" / "vesc" / "vesc.dbc"

@@ -8,9 +8,10 @@ from worlds import ON, after, fan_world, orders
 from hil.config.adhesion import VescConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.core.signals import Status
-from hil.devices.adhesion.emulated_daemon import DaemonInWorld
-from hil.drivers.adhesion.vesc_fan import VescFan
-from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
+from hil.drivers.adhesion.vesc.driver import VescFan
+from hil.fakes.motor_controllers.daemon_in_world import DaemonInWorld
+from hil.fakes.motor_controllers.true_parameters import AdhesionTruthOptions
+from hil.fakes.motor_controllers.vesc_node import VescNode
 
 S = 1_000_000_000
 

@@ -7,14 +7,14 @@ import pytest
 from worlds import ON, after, fan_world
 
 from hil.config.adhesion import VescConfig
+from hil.config.thrust_vesc import VescThrustConfig
 from hil.core.registry import kinds
 from hil.core.signals import AdhesionSample, Stamp
-from hil.devices.adhesion.emulated_daemon import DaemonInWorld
-from hil.devices.thrust.vesc.config import VescThrustConfig
-from hil.devices.thrust.vesc.emulated_propellers import VescThrustTruthOptions, propellers
-from hil.drivers.adhesion.vesc_fan import VescFan
-from hil.fakes.adhesion import AdhesionTruthOptions
-from hil.fakes.adhesion.fan_physics import Demand, Fan
+from hil.drivers.adhesion.vesc.driver import VescFan
+from hil.fakes.motor_controllers.daemon_in_world import DaemonInWorld
+from hil.fakes.motor_controllers.fan_physics import Demand, Fan
+from hil.fakes.motor_controllers.true_parameters import AdhesionTruthOptions
+from hil.fakes.thrust.vesc.chip import VescThrustTruthOptions, propellers
 from hil.loop.checks.adhesion_limits import FanForces
 from hil.robot.believed_force import CELLS, believe
 from hil.robot.motor_cross_checks import POWER, SPEED, VOLTAGE, Reading, cross_check, forces_n, impossible

@@ -7,8 +7,8 @@ from hil.config.robot import RobotConfig
 from hil.config.thrust import TeensyConfig
 from hil.fakes.plant import make_plant
 from hil.fakes.serial_line import SerialLine
-from hil.fakes.thrust import TeensyChip
-from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
+from hil.fakes.thrust.teensy.chip import TeensyChip
+from hil.fakes.thrust.teensy.true_parameters import ThrustTruthOptions
 from hil.fakes.world import VirtualClock, World
 from hil.faults.plan import FaultPlan
 

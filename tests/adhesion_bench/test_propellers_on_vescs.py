@@ -15,17 +15,17 @@ from hil.bench.loop_settings import thrust_wanted_n
 from hil.config.adhesion import VescConfig
 from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig
+from hil.config.thrust_vesc import VescThrustConfig
 from hil.core.device import Search
 from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
 from hil.core.signals import Status
-from hil.devices.adhesion.emulated_daemon import DaemonInWorld
-from hil.devices.adhesion.vesc_model import Vesc
-from hil.devices.thrust.vesc import VescPropellers
-from hil.devices.thrust.vesc.config import VescThrustConfig
-from hil.devices.thrust.vesc.driver import VescThrust
-from hil.devices.thrust.vesc.emulated_propellers import PropellerNode, VescThrustTruthOptions, propellers
+from hil.drivers.adhesion.vesc.model import Vesc
+from hil.drivers.thrust.vesc.driver import VescThrust
+from hil.drivers.thrust.vesc.model import VescPropellers
 from hil.fakes.can_channel import CanChannel, WorldBus
+from hil.fakes.motor_controllers.daemon_in_world import DaemonInWorld
 from hil.fakes.plant import make_plant
+from hil.fakes.thrust.vesc.chip import PropellerNode, VescThrustTruthOptions, propellers
 from hil.fakes.world import VirtualClock, World
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.protocols import protocol_of

@@ -8,8 +8,9 @@ import numpy as np
 
 from hil.config.adhesion import VescConfig
 from hil.config.robot import RobotConfig
-from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
 from hil.fakes.can_channel import CanChannel
+from hil.fakes.motor_controllers.true_parameters import AdhesionTruthOptions
+from hil.fakes.motor_controllers.vesc_node import VescNode
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault

@@ -8,12 +8,12 @@ import can
 import numpy as np
 import pytest
 
+from hil.config.dronecan import DroneCanConfig
 from hil.config.robot import RobotConfig
-from hil.devices.adhesion.dronecan.config import DroneCanConfig
-from hil.devices.adhesion.dronecan.driver import DroneCanFan
-from hil.devices.adhesion.dronecan.emulated_node import DroneCanNode, DroneCanTruthOptions
-from hil.devices.adhesion.emulated_daemon import DaemonInWorld
+from hil.drivers.adhesion.dronecan.driver import DroneCanFan
+from hil.fakes.adhesion.dronecan.chip import DroneCanNode, DroneCanTruthOptions
 from hil.fakes.can_channel import CanChannel
+from hil.fakes.motor_controllers.daemon_in_world import DaemonInWorld
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault

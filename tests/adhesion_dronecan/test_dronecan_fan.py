@@ -6,15 +6,15 @@ import can
 import pytest
 
 from hil.bench import open_bench
+from hil.config.dronecan import DroneCanConfig
 from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.devices.adhesion.dronecan import dronecan_library as libraries
-from hil.devices.adhesion.dronecan.config import DroneCanConfig
-from hil.devices.adhesion.dronecan.driver import DroneCanFan
-from hil.devices.adhesion.emulated_daemon import DaemonInWorld
+from hil.drivers.adhesion.dronecan.driver import DroneCanFan
+from hil.fakes.motor_controllers.daemon_in_world import DaemonInWorld
 from hil.fan_daemon.protocols import protocol_of
 from hil.fan_daemon.spec import Spec
 from hil.links.can_bus import CanLink
+from hil.links.dronecan import library as libraries
 
 dronecan = pytest.importorskip("dronecan", reason="the extra dronecan is not installed")
 COMMON = dronecan.driver.common

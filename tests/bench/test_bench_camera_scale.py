@@ -79,7 +79,7 @@ def test_a_known_scale_takes_two_thirds_off_the_end_error_of_a_climb(seed):
 
 
 def scale_of(seed, overrides):
-    from hil.fakes.tracker import T265
+    from hil.fakes.tracker.t265.chip import T265
 
     world = open_bench("emulated", seed=seed, overrides={**FANLESS, **overrides}).world
     return next(p for p in world._parts if isinstance(p, T265)).odometry.scale

@@ -63,7 +63,7 @@ def test_a_file_of_ones_own_is_found_beside_the_bench_file_and_ends_the_command_
 
 def test_a_world_that_diverges_ends_a_run_as_an_error(tmp_path, monkeypatch):
     pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
-    from hil.fakes.mujoco_plant import robot
+    from hil.fakes.plant.mujoco import robot
 
     sound = robot.mk.is_sound
     monkeypatch.setattr(robot.mk, "is_sound", lambda qpos, qvel: bool(sound(qpos, qvel) and qpos[0] < 0.03))

@@ -14,7 +14,7 @@ from hil.config.servo_models import servo_model
 from hil.config.servos import ServosConfig
 from hil.core.errors import ConfigError
 from hil.core.signals import ServoSetpoint
-from hil.drivers.servos import DynamixelServos
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
 from hil.fakes.plant.parameters import nominal_joints
 from hil.fakes.world import VirtualClock
 

@@ -15,7 +15,7 @@ from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.signals import KINDS
-from hil.drivers.servos import scan
+from hil.drivers.servos.dynamixel.commissioning import scan
 from hil.fakes.world import VirtualClock
 
 pytestmark = pytest.mark.usefixtures("warm_commands")

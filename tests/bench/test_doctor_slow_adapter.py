@@ -14,7 +14,7 @@ from hil.bench.emulation import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.signals import KINDS
-from hil.drivers.servos import scan, set_up
+from hil.drivers.servos.dynamixel.commissioning import scan, set_up
 from hil.fakes.world import VirtualClock
 from hil.links.serial_url import latency_timer
 

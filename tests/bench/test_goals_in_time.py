@@ -4,7 +4,7 @@ import pytest
 
 import hil
 from hil.core.errors import HilError
-from hil.fakes.servos.bus import ServoBus
+from hil.fakes.servos.dynamixel.chip import ServoBus
 from hil.robot.trajectories import line
 
 AT_S, SOON_S, LOOK_NS = 1.5, 0.15, 1_000_000

@@ -11,9 +11,9 @@ from hil.bench.hold.motion_since_stop import JOINTS, MotionSinceStop
 from hil.core.device import DeviceKind
 from hil.core.errors import SafetyStop
 from hil.core.signals import SERVOS
-from hil.devices.mocap import KIND as MOCAP_KIND
-from hil.devices.servos import KIND as SERVO_KIND
-from hil.devices.tracker import KIND as CAMERA_KIND
+from hil.drivers.mocap.kind import KIND as MOCAP_KIND
+from hil.drivers.servos.kind import KIND as SERVO_KIND
+from hil.drivers.tracker.kind import KIND as CAMERA_KIND
 from hil.robot.trajectories import line
 
 CLIMB = line((0, 0, 0), (0.4, 0, 0), duration_s=8.0)

@@ -6,7 +6,7 @@ import pytest
 import hil
 from hil.core.clock import nanoseconds
 from hil.core.errors import SafetyStop
-from hil.fakes.servos.bus import ServoBus
+from hil.fakes.servos.dynamixel.chip import ServoBus
 from hil.robot.trajectories import line
 
 WAY = line((0.0, 0.0, 0.0), (0.12, 0.0, 0.0), duration_s=3.0)

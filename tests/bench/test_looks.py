@@ -12,7 +12,7 @@ from hil.config.load_cells import LineCellsConfig
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
 from hil.core.signals import AdhesionSample, Status
-from hil.devices.doctor_watch import Watched, losses
+from hil.drivers.doctor_watch import Watched, losses
 from tests.recording.mcap_cases import driving_record
 
 INPUTS = driving_record(0).inputs

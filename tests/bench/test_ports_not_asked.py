@@ -20,10 +20,11 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig
 from hil.core.registry import kinds
-from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
-from hil.fakes.imu import Bno055Chip
+from hil.fakes.imu.bno055.chip import Bno055Chip
+from hil.fakes.imu.microstrain.chip import MicrostrainChip
 from hil.fakes.serial_line import SerialLine
-from hil.fakes.thrust import TeensyChip, ThrustTruthOptions
+from hil.fakes.thrust.teensy.chip import TeensyChip
+from hil.fakes.thrust.teensy.true_parameters import ThrustTruthOptions
 from hil.fakes.world import VirtualClock, World
 from hil.links.serial_url import cannot_open, open_serial
 from tests.turning_plant import TurningPlant

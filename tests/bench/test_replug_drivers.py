@@ -8,12 +8,12 @@ import pytest
 from turning_plant import TurningPlant
 
 from hil.bench.reconnect import Reconnecting
+from hil.config.microstrain import MicrostrainConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status, worst
-from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.driver import MicrostrainImu
-from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
+from hil.drivers.imu.microstrain.driver import MicrostrainImu
+from hil.fakes.imu.microstrain.chip import MicrostrainChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer

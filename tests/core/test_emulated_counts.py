@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
-from hil.fakes.encoders import as5045_chip
-from hil.fakes.imu.output_sample import counts
-from hil.fakes.imu.sensor_physics import Sensed
-from hil.fakes.servos.sensing import Sensing
+from hil.fakes.encoders.as5045 import encoder as as5045_chip
+from hil.fakes.imu.bno055.output_sample import counts
+from hil.fakes.imu.bno055.sensor_physics import Sensed
+from hil.fakes.servos.dynamixel.sensing import Sensing
 
 
 class Joints:

@@ -21,7 +21,7 @@ from hil.core.result_files import JOURNAL
 from hil.datasets.plain_csv import read_plain
 from hil.datasets.public_csv import read_pair
 from hil.datasets.topic_map import read_topic_map
-from hil.drivers.imu.bno055_calibration import ImuCalibration
+from hil.drivers.imu.bno055.calibration import ImuCalibration
 from hil.faults.files import read_faults
 from hil.live.reference_files import read_waypoints
 from hil.procedure.operator import Answers

@@ -12,7 +12,7 @@ from hil.config.loading import load_bench
 from hil.config.values import Within
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
-from hil.devices.emulated_device import EmulationRequest
+from hil.fakes.emulated_device import EmulationRequest
 from hil.fakes.emulation_request import invalid_values, ranges
 
 SIGNED = {"ambient_c"}

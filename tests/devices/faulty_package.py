@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from hil.config.device import DeviceConfig
-from hil.devices.emulated_device import Wired
+from hil.fakes.emulated_device import Wired
 from hil.core.geometry import Array
 from hil.core.interfaces import Sensor
 from hil.core.device import Connection, DeviceKind, DeviceModel
@@ -113,7 +113,7 @@ def run(ctx):
         ctx.bench.observe(0.1)
 """
 CHIP = """
-from hil.devices.emulated_device import Transport
+from hil.fakes.emulated_device import Transport
 from hil.fakes.world import NEVER_NS, Scheduled
 
 

@@ -15,7 +15,7 @@ TWIN = """
 from typing import Literal
 
 from hil.config.imu import Bno055Config
-from hil.devices.imu import Bno055
+from hil.drivers.imu.bno055.model import Bno055
 
 
 class Config(Bno055Config):

@@ -8,7 +8,7 @@ import pytest
 from hil.config.load_cells import CanCellsConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
-from hil.drivers.load_cells.can_cells import CanCells
+from hil.drivers.load_cells.hx711.can_driver import CanCells
 from hil.links import can_bus
 
 PATIENT = CanCellsConfig(

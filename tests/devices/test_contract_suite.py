@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from hil.config.imu import Bno055Config
-from hil.devices.imu import Bno055
+from hil.drivers.imu.bno055.model import Bno055
 from hil.drivers.imu import Bno055Imu
 
 
@@ -57,7 +57,7 @@ from typing import Literal
 import numpy as np
 
 from hil.config.device import DeviceConfig
-from hil.devices.emulated_device import Wired
+from hil.fakes.emulated_device import Wired
 from hil.core.errors import DeviceError
 from hil.core.geometry import Array
 from hil.core.interfaces import Sensor

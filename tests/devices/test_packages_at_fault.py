@@ -287,7 +287,7 @@ SERIAL = """
 from hil.devkit import SerialSensorConfig
 from hil.devkit.chip import SerialStreamingChip
 from hil.devkit.driver import LineParser, SerialSensor
-from hil.devices.emulated_device import on_serial_line
+from hil.fakes.emulated_device import on_serial_line
 
 
 class OnALine(SerialSensorConfig):

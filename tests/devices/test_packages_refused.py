@@ -78,7 +78,7 @@ def bench(tmp_path):
 
 
 def changed(text):
-    return f"{MODEL}\nfrom hil.devices.imu import Bno055\nBNO055 = Bno055()\nITEM = {text}\n"
+    return f"{MODEL}\nfrom hil.drivers.imu.bno055.model import Bno055\nBNO055 = Bno055()\nITEM = {text}\n"
 
 
 REFUSED = {

@@ -15,7 +15,8 @@ from hil.bench.emulation import build_world
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.fakes.free_port import free_udp_port
-from hil.fakes.mocap import NatNetServer, NatNetTransport
+from hil.fakes.mocap.natnet.chip import NatNetServer
+from hil.fakes.mocap.natnet.udp import NatNetTransport
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

@@ -14,7 +14,7 @@ from hil.config.loading import load_bench
 from hil.core.errors import DeviceError
 from hil.fakes import emulated_can_group
 from hil.fakes.free_port import free_udp_port
-from hil.fakes.mocap.natnet_udp import _cannot_serve
+from hil.fakes.mocap.natnet.udp import _cannot_serve
 
 NAMES = ("encoders", "adhesion", "load_cells")
 PING_TO_ALL = can.Message(arbitration_id=0x11FF, data=b"\xfe", is_extended_id=True)

@@ -7,9 +7,10 @@ import pytest
 from still_plant import StillPlant
 
 from hil.config.encoders import EncodersConfig
-from hil.drivers.encoders import As5045Encoders
+from hil.drivers.encoders.as5045.driver import As5045Encoders
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
+from hil.fakes.encoders.as5045.chip import EncoderNode
+from hil.fakes.encoders.as5045.encoder import EncoderTruthOptions
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan

@@ -11,7 +11,7 @@ from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import Status
-from hil.drivers.encoders import As5045Encoders
+from hil.drivers.encoders.as5045.driver import As5045Encoders
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.can_server import CanTransport
 from hil.fakes.server import EmulationServer

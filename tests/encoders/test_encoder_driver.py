@@ -9,8 +9,8 @@ import pytest
 from hil.config.encoders import EncodersConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.drivers.encoders import As5045Encoders
-from hil.fakes.encoders import EncoderTruthOptions
+from hil.drivers.encoders.as5045.driver import As5045Encoders
+from hil.fakes.encoders.as5045.encoder import EncoderTruthOptions
 
 IDEAL = EncoderTruthOptions(noise_rad=0.0, once_rad=0.0, twice_rad=0.0)
 OK4 = (Status.OK,) * 4

@@ -12,9 +12,9 @@ from still_plant import StillPlant
 from hil.config.encoders import EncodersConfig
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
-from hil.drivers.encoders import As5045Encoders
+from hil.drivers.encoders.as5045.driver import As5045Encoders
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.encoders import EncoderNode
+from hil.fakes.encoders.as5045.chip import EncoderNode
 from hil.fakes.world import VirtualClock, World
 from hil.links.can_interface import OpenBus
 from tests.selected import draws

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.core.errors import DataError
-from hil.drivers.encoders.frame_layout import load_layout
+from hil.drivers.encoders.as5045.frame_layout import load_layout
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 LAYOUT = load_layout(EncodersConfig())

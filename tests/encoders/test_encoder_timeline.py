@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.drivers.encoders.node_status import NodeTimeline
+from hil.drivers.encoders.as5045.node_status import NodeTimeline
 from hil.links.can_arrival_times import ArrivalClock
 
 PERIOD_NS = 5_000_000

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.signals import Status
-from hil.drivers.encoders import decode_word
-from hil.fakes.encoders.as5045_chip import COF, FLAGS, LIN, MAG_DEC, MAG_INC, OCF, chip, with_parity, word
+from hil.drivers.encoders.as5045.word import decode_word
+from hil.fakes.encoders.as5045.encoder import COF, FLAGS, LIN, MAG_DEC, MAG_INC, OCF, chip, with_parity, word
 
 GOLDEN_FILE = Path(__file__).parents[1] / "golden" / "as5045_words.json"
 GOLDEN = [(w["bits"], w["counts"], Status(w["status"])) for w in json.loads(GOLDEN_FILE.read_text())["words"]]

@@ -5,9 +5,9 @@ import cantools
 import pytest
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
-from hil.devices.doctor_watch import Watched
-from hil.devices.encoders import KIND, look
-from hil.drivers.encoders.node_status import NodeStatus
+from hil.drivers.doctor_watch import Watched
+from hil.drivers.encoders.as5045.node_status import NodeStatus
+from hil.drivers.encoders.kind import KIND, look
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 USUAL = {

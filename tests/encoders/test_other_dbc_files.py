@@ -9,8 +9,8 @@ from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.config.load_cells import CanCellsConfig
 from hil.core.errors import DataError, DeviceError
 from hil.core.signals import Status
-from hil.drivers.encoders.frame_layout import load_layout
-from hil.drivers.load_cells import CanCells
+from hil.drivers.encoders.as5045.frame_layout import load_layout
+from hil.drivers.load_cells.hx711.can_driver import CanCells
 from hil.links.can_bus import frame_key
 
 NAMES = EncodersConfig().signals

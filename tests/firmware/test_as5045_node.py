@@ -11,11 +11,12 @@ from node_on_host import HostBoard
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.core.signals import WHEELS, Status
-from hil.drivers.encoders import As5045Encoders, decode_word
+from hil.drivers.encoders.as5045.driver import As5045Encoders
+from hil.drivers.encoders.as5045.word import decode_word
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.encoders import EncoderNode
-from hil.fakes.encoders.as5045_chip import OCF, chip, with_parity
-from hil.fakes.encoders.as5045_chip import word as word_of
+from hil.fakes.encoders.as5045.chip import EncoderNode
+from hil.fakes.encoders.as5045.encoder import OCF, chip, with_parity
+from hil.fakes.encoders.as5045.encoder import word as word_of
 from hil.fakes.world import Scheduled, VirtualClock, World
 from hil.faults.plan import FaultPlan
 

@@ -10,7 +10,7 @@ import pytest
 from node_on_host import FIRMWARE
 
 from hil.config.encoders import SHIPPED_DBC
-from hil.fakes.encoders.as5045_chip import with_parity
+from hil.fakes.encoders.as5045.encoder import with_parity
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 FLASH, RAM, PERIPHERALS = 0x08000000, 0x20000000, 0x40000000

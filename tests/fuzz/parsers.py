@@ -13,21 +13,21 @@ from mutating import Seal
 
 from hil.core.errors import HilError
 from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD
-from hil.devices.imu.microstrain import mip_fields as mip_fields
-from hil.devices.imu.microstrain.mip_packets import PacketParser, encode
-from hil.devices.tracker.mavlink.odometry_messages import Parser, axes_of, dialect, pose_of, twist_of
-from hil.drivers.mocap.natnet_frames import FrameParser, parse_frame
-from hil.drivers.mocap.natnet_packets import MalformedPacket, parse_server_info, split
-from hil.drivers.mocap.natnet_session import parse_models
-from hil.drivers.servos.packets import GroupRead, find_statuses
-from hil.drivers.tracker.emulated_pipeline import FeedDevice
-from hil.fakes.imu.bno055_uart import RequestParser
-from hil.fakes.servos import protocol
+from hil.drivers.mocap.natnet.messages import FrameParser, parse_frame
+from hil.drivers.mocap.natnet.packets import MalformedPacket, parse_server_info, split
+from hil.drivers.mocap.natnet.session import parse_models
+from hil.drivers.servos.dynamixel.packets import GroupRead, find_statuses
+from hil.drivers.tracker.t265.served_poses import FeedDevice
+from hil.fakes.imu.bno055.uart import RequestParser
+from hil.fakes.servos.dynamixel import protocol
 from hil.fan_daemon.client import understood
 from hil.fan_daemon.server import _answered
 from hil.fan_daemon.spec import Spec
 from hil.faults.fault import parse_fault
-from hil.links.dronecan.frames import StatusReader, command_of
+from hil.links.dronecan.messages import StatusReader, command_of
+from hil.links.mavlink.messages import Parser, axes_of, dialect, pose_of, twist_of
+from hil.links.mip import fields as mip_fields
+from hil.links.mip.packets import PacketParser, encode
 from hil.links.vesc import frames as vesc
 from hil.live.velocity_input import parse_command
 from hil.recording import cdr

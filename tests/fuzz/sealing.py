@@ -7,9 +7,9 @@ from typing import Any
 
 from fastcrc import crc16
 
-from hil.devices.imu.microstrain import mip_packets as mip
-from hil.devices.tracker.mavlink.odometry_messages import dialect
-from hil.fakes.servos import protocol
+from hil.fakes.servos.dynamixel import protocol
+from hil.links.mavlink.messages import dialect
+from hil.links.mip import packets as mip
 
 _BODIES = 8
 _CRC_EXTRA: dict[int, int] = {}

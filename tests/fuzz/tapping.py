@@ -10,10 +10,10 @@ from unittest import mock
 
 import can
 
-from hil.devices.tracker.mavlink.emulated_links import WorldLink
 from hil.fakes.can_channel import WorldBus
-from hil.fakes.mocap.virtual_network import WorldPort
+from hil.fakes.mocap.natnet.virtual_network import WorldPort
 from hil.fakes.protocol_hil import Serial
+from hil.fakes.tracker.mavlink.links import WorldLink
 
 Spoil = Callable[[bytes], bytes]
 

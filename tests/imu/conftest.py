@@ -10,9 +10,10 @@ import serial
 from turning_plant import TurningPlant
 
 from hil.config.imu import Bno055Config
-from hil.drivers.imu import Bno055Imu
-from hil.fakes.imu import Bno055Chip, ImuTruthOptions
-from hil.fakes.imu.bno055_faults import SUPPORTED_FAULTS
+from hil.drivers.imu.bno055.driver import Bno055Imu
+from hil.fakes.imu.bno055.chip import Bno055Chip
+from hil.fakes.imu.bno055.faults import SUPPORTED_FAULTS
+from hil.fakes.imu.bno055.sensor_physics import ImuTruthOptions
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault
 from hil.faults.messages import STREAM_FAULTS, Messages, declared

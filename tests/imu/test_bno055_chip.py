@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.fakes.imu import ImuTruthOptions
-from hil.fakes.imu.bno055_uart import RequestParser
+from hil.fakes.imu.bno055.sensor_physics import ImuTruthOptions
+from hil.fakes.imu.bno055.uart import RequestParser
 from hil.fakes.world import NEVER_NS
 
 MS = 1_000_000

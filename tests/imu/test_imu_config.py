@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from hil.config.encoders import EncodersConfig
 from hil.config.imu import Bno055Config
-from hil.fakes.imu.sensor_physics import matrix, product, quaternion_of, remap, transpose
+from hil.fakes.imu.bno055.sensor_physics import matrix, product, quaternion_of, remap, transpose
 
 PRESETS = [(0x21, 4), (0x24, 0), (0x24, 6), (0x21, 2), (0x24, 3), (0x21, 1), (0x21, 7), (0x24, 5)]
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hil.core.errors import DataError, DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.drivers.imu import ImuCalibration
+from hil.drivers.imu.bno055.calibration import ImuCalibration
 from hil.fakes.serial_chip import Reply
 from tests.selected import draws
 

@@ -8,7 +8,7 @@ import pytest
 
 from hil.core.geometry import quat_conjugate, quat_rotate, yaw_of_quat
 from hil.core.signals import Status
-from hil.fakes.imu import ImuTruthOptions
+from hil.fakes.imu.bno055.sensor_physics import ImuTruthOptions
 
 IDEAL = ImuTruthOptions(
     gyro_noise_rad_s=0,

@@ -11,8 +11,8 @@ import serial
 from hil.config.imu import Bno055Config
 from hil.core.clock import MonotonicClock
 from hil.core.signals import Status
-from hil.drivers.imu import Bno055Imu
-from hil.fakes.imu import Bno055Chip
+from hil.drivers.imu.bno055.driver import Bno055Imu
+from hil.fakes.imu.bno055.chip import Bno055Chip
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS, World
 

@@ -5,8 +5,8 @@ import pytest
 
 from hil.config.imu import Bno055Config
 from hil.core.signals import Status
-from hil.drivers.imu import Bno055Imu
-from hil.fakes.imu import Bno055Chip
+from hil.drivers.imu.bno055.driver import Bno055Imu
+from hil.fakes.imu.bno055.chip import Bno055Chip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
 

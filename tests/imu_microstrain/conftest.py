@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import pytest
 from turning_plant import TurningPlant
 
-from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.driver import MicrostrainImu
-from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
-from hil.devices.imu.microstrain.emulated_sensing import MicrostrainTruthOptions
+from hil.config.microstrain import MicrostrainConfig
+from hil.drivers.imu.microstrain.driver import MicrostrainImu
+from hil.fakes.imu.microstrain.chip import MicrostrainChip
+from hil.fakes.imu.microstrain.sensing import MicrostrainTruthOptions
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault

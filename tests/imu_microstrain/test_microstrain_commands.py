@@ -1,8 +1,8 @@
 """What the emulated sensor answers to packets of several commands."""
 
-from hil.devices.imu.microstrain import mip_fields as f
-from hil.devices.imu.microstrain.emulated_commands import Commands, Settings
-from hil.devices.imu.microstrain.mip_packets import Field, Packet, PacketParser
+from hil.fakes.imu.microstrain.commands import Commands, Settings
+from hil.links.mip import fields as f
+from hil.links.mip.packets import Field, Packet, PacketParser
 
 INFO = f.DeviceInfo(1007, "3DM-CV7-AHRS", "6286-9960", "6286.34567", "I042Y", "8g, 300dps")
 

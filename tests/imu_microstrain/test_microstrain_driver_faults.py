@@ -8,11 +8,11 @@ import pytest
 
 from hil.core.errors import DeviceTimeoutError
 from hil.core.signals import Status
-from hil.devices.imu.microstrain import mip_fields as f
-from hil.devices.imu.microstrain.emulated_commands import Settings
-from hil.devices.imu.microstrain.mip_packets import Field, cut, encode
+from hil.fakes.imu.microstrain.commands import Settings
 from hil.fakes.serial_chip import Reply
 from hil.faults.fault import parse_fault
+from hil.links.mip import fields as f
+from hil.links.mip.packets import Field, cut, encode
 
 
 def kinds(samples):

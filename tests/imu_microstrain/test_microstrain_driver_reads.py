@@ -9,9 +9,9 @@ import pytest
 from hil.core.errors import DeviceError
 from hil.core.geometry import quat_conjugate, quat_rotate
 from hil.core.signals import Stamp, Status
-from hil.devices.imu.microstrain import filter_samples
-from hil.devices.imu.microstrain import mip_fields as f
-from hil.devices.imu.microstrain.mip_packets import Field, Packet
+from hil.drivers.imu.microstrain import filter_samples
+from hil.links.mip import fields as f
+from hil.links.mip.packets import Field, Packet
 
 LABEL_UP = (0.0, 1.0, 0.0, 0.0)
 

@@ -11,10 +11,10 @@ from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.imu import Bno055Config
 from hil.config.loading import load_bench, validate
+from hil.config.microstrain import MicrostrainConfig
 from hil.core.errors import ConfigError
 from hil.core.signals import Status
-from hil.devices.imu.microstrain import MicroStrain
-from hil.devices.imu.microstrain.config import MicrostrainConfig
+from hil.drivers.imu.microstrain.model import MicroStrain
 from hil.fakes.world import VirtualClock
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording

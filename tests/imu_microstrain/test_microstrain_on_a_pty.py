@@ -5,17 +5,17 @@ import threading
 import pytest
 import serial
 
+from hil.config.microstrain import MicrostrainConfig
 from hil.core.clock import MonotonicClock
 from hil.core.signals import Status
-from hil.devices.imu.microstrain import mip_fields as f
-from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.driver import MicrostrainImu
-from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
-from hil.devices.imu.microstrain.mip_packets import Field, PacketParser, encode
+from hil.drivers.imu.microstrain.driver import MicrostrainImu
+from hil.fakes.imu.microstrain.chip import MicrostrainChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
+from hil.links.mip import fields as f
+from hil.links.mip.packets import Field, PacketParser, encode
 
 pytestmark = pytest.mark.alone
 

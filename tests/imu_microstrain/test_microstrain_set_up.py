@@ -8,9 +8,9 @@ import pytest
 
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.devices.imu.microstrain import mip_fields as f
-from hil.devices.imu.microstrain.emulated_commands import Settings
-from hil.devices.imu.microstrain.mip_packets import PacketParser
+from hil.fakes.imu.microstrain.commands import Settings
+from hil.links.mip import fields as f
+from hil.links.mip.packets import PacketParser
 
 OTHER = {f.FILTER_DATA: ((f.REFERENCE_TIME, 2), (f.STATUS, 2), (f.GRAVITY, 2))}
 

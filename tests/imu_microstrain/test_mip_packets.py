@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hil.devices.imu.microstrain.mip_packets import Field, Packet, PacketParser, checksum, encode
+from hil.links.mip.packets import Field, Packet, PacketParser, checksum, encode
 
 PATIENCE_NS = 30_000_000
 VENDOR = {

@@ -13,8 +13,8 @@ from hil.bench.emulator_process import last_words
 from hil.core.errors import HilError, UsageError
 from hil.datasets.export import write_table
 from hil.datasets.number_table import numbers_at_once
-from hil.devices.tracker.mavlink.odometry_messages import dialect
-from hil.drivers.tracker.librealsense_interface import realsense
+from hil.drivers.tracker.t265.librealsense_interface import realsense
+from hil.links.mavlink.messages import dialect
 from hil.procedure.campaign import Case, Row, write_rows
 from hil.support.extras import DISTRIBUTION, how_to_install
 

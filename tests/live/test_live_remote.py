@@ -12,7 +12,7 @@ from remote_bridges import Bridge, SocketCanDaemon
 import hil
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
-from hil.drivers.servos import scan
+from hil.drivers.servos.dynamixel.commissioning import scan
 from hil.links.network_ports import RemotePort
 from hil.links.serial_url import open_serial
 from hil.robot.kinematics import WheelGeometry

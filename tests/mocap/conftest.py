@@ -11,8 +11,10 @@ from still_plant import StillPlant
 
 from hil.config.mocap import MocapConfig
 from hil.core.clock import MonotonicClock
-from hil.drivers.mocap import NatNetMocap
-from hil.fakes.mocap import STILL, NatNetServer, NatNetTransport
+from hil.drivers.mocap.natnet.driver import NatNetMocap
+from hil.fakes.mocap.natnet.chip import NatNetServer
+from hil.fakes.mocap.natnet.true_parameters import STILL
+from hil.fakes.mocap.natnet.udp import NatNetTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault

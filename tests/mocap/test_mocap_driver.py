@@ -9,8 +9,9 @@ import pytest
 from hil.config.mocap import MocapConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.drivers.mocap import Datagram, NatNetMocap
-from hil.fakes.mocap import MocapTruthOptions
+from hil.drivers.mocap.natnet.driver import NatNetMocap
+from hil.fakes.mocap.natnet.true_parameters import MocapTruthOptions
+from hil.links.udp_ports import Datagram
 
 NOISY = MocapTruthOptions(stalls_per_s=0.0)
 

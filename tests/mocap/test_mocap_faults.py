@@ -6,7 +6,7 @@ from following import kinds
 
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.fakes.mocap import MocapTruthOptions
+from hil.fakes.mocap.natnet.true_parameters import MocapTruthOptions
 from hil.faults.fault import parse_fault
 
 

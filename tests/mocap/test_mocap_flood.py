@@ -9,9 +9,8 @@ import pytest
 
 from hil.config.mocap import MocapConfig
 from hil.core.clock import MonotonicClock
-from hil.drivers.mocap import Datagram
-from hil.drivers.mocap.natnet_session import Session
-from hil.drivers.mocap.udp_ports import _MOST_PER_WINDOW, _WINDOW_NS, UdpPort
+from hil.drivers.mocap.natnet.session import Session
+from hil.links.udp_ports import _MOST_PER_WINDOW, _WINDOW_NS, Datagram, UdpPort
 
 pytestmark = pytest.mark.alone
 

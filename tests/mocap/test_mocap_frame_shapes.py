@@ -6,8 +6,8 @@ import natnet_builder as build
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.drivers.mocap.natnet_frames import FrameParser, parse_frame
-from hil.drivers.mocap.natnet_packets import MalformedPacket
+from hil.drivers.mocap.natnet.messages import FrameParser, parse_frame
+from hil.drivers.mocap.natnet.packets import MalformedPacket
 
 ID = 7
 BODIES = st.permutations([ID, 8, 9]).flatmap(

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from hil.config.mocap import MocapConfig
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
-from hil.drivers.mocap import Datagram, NatNetMocap
+from hil.drivers.mocap.natnet.driver import NatNetMocap
 from hil.fakes.world import VirtualClock, World
+from hil.links.udp_ports import Datagram
 from tests.selected import draws
 
 SERVER = ("127.0.0.1", 1510)

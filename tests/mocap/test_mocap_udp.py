@@ -16,10 +16,11 @@ from natnet.version import Version
 from hil.config.mocap import MocapConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
-from hil.drivers.mocap import NatNetMocap
-from hil.drivers.mocap.udp_ports import UdpPort
-from hil.fakes.mocap import NatNetServer, NatNetTransport
+from hil.drivers.mocap.natnet.driver import NatNetMocap
+from hil.fakes.mocap.natnet.chip import NatNetServer
+from hil.fakes.mocap.natnet.udp import NatNetTransport
 from hil.fakes.world import World
+from hil.links.udp_ports import UdpPort
 
 pytestmark = pytest.mark.real_time
 

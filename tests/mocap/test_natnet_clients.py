@@ -5,7 +5,7 @@ import struct
 import pytest
 
 import hil
-from hil.fakes.mocap.virtual_network import PacketNetwork
+from hil.fakes.mocap.natnet.virtual_network import PacketNetwork
 
 CONNECT, REQUEST, KEEPALIVE, FRAME = 0, 2, 10, 7
 S = 1_000_000_000

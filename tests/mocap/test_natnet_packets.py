@@ -14,11 +14,11 @@ from natnet.packet_buffer import PacketBuffer
 from natnet.server_info import ServerInfo
 from natnet.version import Version
 
-from hil.drivers.mocap.natnet_frames import frame_number, parse_frame
-from hil.drivers.mocap.natnet_packets import MalformedPacket, Message, parse_server_info, request, split
-from hil.drivers.mocap.natnet_session import parse_models
-from hil.fakes.mocap import natnet_encoding
-from hil.fakes.mocap.camera_view import SeenBody
+from hil.drivers.mocap.natnet.messages import frame_number, parse_frame
+from hil.drivers.mocap.natnet.packets import MalformedPacket, Message, parse_server_info, request, split
+from hil.drivers.mocap.natnet.session import parse_models
+from hil.fakes.mocap.natnet import encoding as natnet_encoding
+from hil.fakes.mocap.natnet.camera_view import SeenBody
 from tests.selected import draws
 
 MARKERS = tuple((0.1 * k, 0.2 * k, 0.3 * k) for k in range(4))

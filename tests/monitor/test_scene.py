@@ -15,7 +15,7 @@ from hil.config.robot import RobotConfig
 from hil.core.device import Force
 from hil.core.errors import ConfigError
 from hil.core.signals import AdhesionSample, Stamp, ThrustSample
-from hil.devices.imu import Imu
+from hil.drivers.imu.kind import Imu
 from hil.monitor import Scene, scene_state
 from hil.monitor.scene_state import Moments
 from hil.robot.kinematics import WheelGeometry

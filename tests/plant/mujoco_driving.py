@@ -7,8 +7,8 @@ import pytest
 
 from hil.config.robot import RobotConfig
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
-from hil.fakes.mujoco_plant import CONTACTS, MujocoRobot, make_mujoco_plant
-from hil.fakes.mujoco_plant.model import build_model
+from hil.fakes.plant.mujoco import CONTACTS, MujocoRobot, make_mujoco_plant
+from hil.fakes.plant.mujoco.model import build_model
 from hil.fakes.plant.parameters import nominal_parameters
 from hil.fakes.plant.robot import GRAVITY_M_S2
 from hil.fakes.plant.surfaces import find_surface

@@ -8,9 +8,9 @@ from mujoco_driving import WEIGHT_N, robot, truth, without_play
 from plant_driving import FLOOR, MS_NS, assert_falls_freely, drive, play_back, release, settle, wait
 
 from hil.config.robot import RobotConfig
-from hil.fakes.mujoco_plant import CONTACTS, MujocoRobot
-from hil.fakes.mujoco_plant.model import build_model
 from hil.fakes.plant import Patch, Surface
+from hil.fakes.plant.mujoco import CONTACTS, MujocoRobot
+from hil.fakes.plant.mujoco.model import build_model
 from hil.robot.trajectories import circle
 from tests.selected import every
 

@@ -12,9 +12,9 @@ from plant_driving import drive, settle, wait
 
 from hil.config.robot import RobotConfig
 from hil.core.errors import ConfigError
-from hil.fakes.mujoco_plant import CONTACTS, mjcf
-from hil.fakes.mujoco_plant.mjcf import describe_robot
-from hil.fakes.mujoco_plant.model import build_model
+from hil.fakes.plant.mujoco import CONTACTS, mjcf
+from hil.fakes.plant.mujoco.mjcf import describe_robot
+from hil.fakes.plant.mujoco.model import build_model
 
 PLAIN = describe_robot(truth("melamine", math.pi / 2))
 

@@ -8,8 +8,8 @@ from mujoco_driving import mujoco, robot
 from plant_driving import MS_NS, build, drive, settle, wait
 
 from hil.core.errors import DeviceError
-from hil.fakes.mujoco_plant import CONTACTS
-from hil.fakes.mujoco_plant.model import as_built, build_model
+from hil.fakes.plant.mujoco import CONTACTS
+from hil.fakes.plant.mujoco.model import as_built, build_model
 
 
 def _bits(plant):

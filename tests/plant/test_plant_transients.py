@@ -13,7 +13,7 @@ import pytest
 from plant_driving import FLOOR, build, drive, settle
 
 from hil.config.servo_models import servo_model
-from hil.fakes.servos.sensing import GRID_NS, Sensing
+from hil.fakes.servos.dynamixel.sensing import GRID_NS, Sensing
 
 SERVO = servo_model(1010)
 CRUISE_RAD_S, TOP_RAD_S = 1.966, 4.8

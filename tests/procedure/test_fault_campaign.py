@@ -126,7 +126,7 @@ def test_the_short_form_passes(tmp_path):
 
 
 def test_physics_that_are_not_installed_are_refused_before_the_first_cell(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.fakes.mujoco_plant.mjcf.why_unusable", lambda extra: "not installed")
+    monkeypatch.setattr("hil.fakes.plant.mujoco.mjcf.why_unusable", lambda extra: "not installed")
     with pytest.raises(ConfigError, match="needs the extra mujoco"):
         command.main(["--plants", "own,mujoco", "--out", str(tmp_path / "out")], standalone_mode=False)
     assert not (tmp_path / "out").exists()

@@ -13,12 +13,12 @@ from hil.bench import open_bench
 from hil.core.clock import NS_PER_S
 from hil.core.interfaces import Sink
 from hil.core.signals import Status
-from hil.fakes.encoders import EncoderNode
-from hil.fakes.imu import Bno055Chip
-from hil.fakes.mocap import NatNetServer
+from hil.fakes.encoders.as5045.chip import EncoderNode
+from hil.fakes.imu.bno055.chip import Bno055Chip
+from hil.fakes.mocap.natnet.chip import NatNetServer
 from hil.fakes.plant.robot import STEP_NS
-from hil.fakes.servos import ServoBus
-from hil.fakes.tracker import T265
+from hil.fakes.servos.dynamixel.chip import ServoBus
+from hil.fakes.tracker.t265.chip import T265
 from hil.procedure.sample_arrays import integrated
 from hil.procedures.latency import body_signals, steer, steering_signals, turn, values_ms
 from hil.procedures.latency.fit import fit_delay

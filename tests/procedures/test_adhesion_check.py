@@ -3,7 +3,7 @@
 import pytest
 from procedure_runs import part, run, true_world
 
-from hil.fakes.load_cells import CellNode
+from hil.fakes.load_cells.hx711.chip import CellNode
 
 SHORT = {"levels": 3, "dwell_s": 0.5}
 OVERRIDES = {"emulation.load_cells.drift_n_per_min": 0.0, "loop.rate_hz": 50.0}

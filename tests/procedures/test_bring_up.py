@@ -9,8 +9,8 @@ from procedure_runs import assert_covered, fragment_of, part, run, true_world
 from hil.bench import open_bench
 from hil.config.loading import load_bench
 from hil.core.clock import nanoseconds
-from hil.fakes.mocap import NatNetServer
-from hil.fakes.tracker import T265
+from hil.fakes.mocap.natnet.chip import NatNetServer
+from hil.fakes.tracker.t265.chip import T265
 from hil.loop.control_loop import ControlLoop
 from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.bring_up import Parameters, measurements

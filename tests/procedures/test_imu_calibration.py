@@ -13,9 +13,9 @@ from procedure_runs import (
     true_world,
 )
 
-from hil.drivers.imu import ImuCalibration
-from hil.fakes.imu import Bno055Chip
-from hil.fakes.imu.output_sample import GRAVITY_M_S2
+from hil.drivers.imu.bno055.calibration import ImuCalibration
+from hil.fakes.imu.bno055.chip import Bno055Chip
+from hil.fakes.imu.bno055.output_sample import GRAVITY_M_S2
 
 SHORT = {"rest_s": 8.0, "headings": 4, "dwell_s": 1.0, "learn_s": 6.0}
 BRIEF = {"rest_s": 5.0, "headings": 4, "heading_deg": 4.0, "dwell_s": 0.5, "learn_s": 4.0}

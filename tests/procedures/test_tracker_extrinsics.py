@@ -15,7 +15,7 @@ from procedure_runs import (
 
 from hil.config.loading import load_bench
 from hil.core.geometry import quat_from_rotvec, quat_multiply, quat_rotate
-from hil.fakes.tracker import T265
+from hil.fakes.tracker.t265.chip import T265
 from hil.procedure.sample_arrays import Series
 from hil.procedures.tracker_extrinsics import headline
 from hil.procedures.tracker_extrinsics.hand_eye import Truth, intervals, solve

@@ -6,9 +6,10 @@ import pytest
 from servo_wire import JointPlant, make_wire
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos import DynamixelServos
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
 from hil.fakes.serial_line import SerialLine
-from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.servos.dynamixel.chip import ServoBus
+from hil.fakes.servos.dynamixel.true_parameters import ServoBusOptions
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan

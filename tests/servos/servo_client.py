@@ -1,7 +1,7 @@
 """A packet-level client of single servos by register name, for tests over the wire."""
 
 from hil.config.servo_models import servo_model
-from hil.drivers.servos.packets import find_statuses, instruction
+from hil.drivers.servos.dynamixel.packets import find_statuses, instruction
 
 PING, READ, WRITE, REG_WRITE, ACTION = 1, 2, 3, 4, 5
 FACTORY, REBOOT, CLEAR, BACKUP = 6, 8, 0x10, 0x20

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from hil.fakes.body_interface import JointCommand, Plant, PlantState
-from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.servos.dynamixel.chip import ServoBus
+from hil.fakes.servos.dynamixel.true_parameters import ServoBusOptions
 from hil.fakes.world import World
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan

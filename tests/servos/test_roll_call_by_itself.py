@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import pytest
 
 from hil.core.signals import Status
-from hil.drivers.servos.bus import Exchange
-from hil.drivers.servos.late_servos import LatencyProbe
-from hil.drivers.servos.packets import Answer
+from hil.drivers.servos.dynamixel.bus import Exchange
+from hil.drivers.servos.dynamixel.late_servos import LatencyProbe
+from hil.drivers.servos.dynamixel.packets import Answer
 
 IN_TIME_S, NEVER = 0.003, None
 IDS = (11, 12, 13, 14, 15, 16, 17, 18)

@@ -3,7 +3,7 @@
 import pytest
 
 from hil.core.errors import DeviceError, UsageError
-from hil.drivers.servos import FoundServo, scan, set_up
+from hil.drivers.servos.dynamixel.commissioning import FoundServo, scan, set_up
 
 PORT = "hil://servos"
 

@@ -11,11 +11,13 @@ from servo_wire import JointPlant
 from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError, HilError
 from hil.core.signals import Status
-from hil.drivers.servos import DynamixelServos, scan, set_up
-from hil.drivers.servos.packets import GroupRead, find_statuses
+from hil.drivers.servos.dynamixel.commissioning import scan, set_up
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
+from hil.drivers.servos.dynamixel.packets import GroupRead, find_statuses
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine
-from hil.fakes.servos import ServoBus, protocol
+from hil.fakes.servos.dynamixel import protocol
+from hil.fakes.servos.dynamixel.chip import ServoBus
 from hil.fakes.world import VirtualClock, World
 from tests.selected import draws
 

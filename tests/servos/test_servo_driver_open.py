@@ -12,8 +12,9 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import ServoSetpoint, Status
-from hil.drivers.servos import DynamixelServos, set_up
-from hil.drivers.servos.packets import instruction
+from hil.drivers.servos.dynamixel.commissioning import set_up
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
+from hil.drivers.servos.dynamixel.packets import instruction
 
 
 @pytest.mark.parametrize(

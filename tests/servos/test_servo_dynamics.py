@@ -10,9 +10,10 @@ from servo_wire import Wire
 
 from hil.config.robot import RobotConfig
 from hil.core.signals import ServoSetpoint
-from hil.drivers.servos.packets import find_statuses, instruction
+from hil.drivers.servos.dynamixel.packets import find_statuses, instruction
 from hil.fakes.plant import make_plant
-from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.servos.dynamixel.chip import ServoBus
+from hil.fakes.servos.dynamixel.true_parameters import ServoBusOptions
 from hil.fakes.world import World
 
 STEP_NS = 1_000_000

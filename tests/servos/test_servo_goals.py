@@ -7,9 +7,9 @@ from servo_client import MODEL, RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
 from hil.config.servos import ServosConfig
 from hil.core.errors import UsageError
 from hil.core.signals import ServoSetpoint
-from hil.drivers.servos.goal_values import Goals
-from hil.drivers.servos.packets import GoalWrite
-from hil.drivers.servos.register_map import RegisterMap
+from hil.drivers.servos.dynamixel.goal_values import Goals
+from hil.drivers.servos.dynamixel.packets import GoalWrite
+from hil.drivers.servos.dynamixel.register_map import RegisterMap
 
 LOW, HIGH = 700, 3400
 

@@ -8,10 +8,10 @@ import pytest
 from servo_client import RAD_PER_COUNT
 
 from hil.core.signals import Status
-from hil.drivers.servos import packets
-from hil.drivers.servos.packets import GoalWrite, GroupRead, find_statuses, instruction
-from hil.drivers.servos.register_map import Fields
-from hil.fakes.servos import protocol
+from hil.drivers.servos.dynamixel import packets
+from hil.drivers.servos.dynamixel.packets import GoalWrite, GroupRead, find_statuses, instruction
+from hil.drivers.servos.dynamixel.register_map import Fields
+from hil.fakes.servos.dynamixel import protocol
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "dynamixel_vectors.json").read_text())
 ASKED = {name: bytes.fromhex(text) for name, text in GOLDEN["instructions"].items()}

@@ -25,9 +25,9 @@ from servo_client import (
 from servo_wire import make_wire
 
 from hil.core.signals import Status
-from hil.drivers.servos.packets import GroupRead, find_statuses, instruction
+from hil.drivers.servos.dynamixel.packets import GroupRead, find_statuses, instruction
 from hil.fakes.body_interface import JointCommand
-from hil.fakes.servos import protocol
+from hil.fakes.servos.dynamixel import protocol
 
 IDS = bytes(range(1, 9))
 POSITION = where("present_position")

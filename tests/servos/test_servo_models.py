@@ -15,9 +15,9 @@ from hil.config.servo_models.codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCH
 from hil.config.servos import ServosConfig
 from hil.core.errors import UsageError
 from hil.core.signals import ServoSetpoint
-from hil.drivers.servos import scan, set_up
-from hil.drivers.servos.register_map import RegisterMap
-from hil.drivers.servos.servo_samples import ALL_SERVOS, MultiTurnCounter
+from hil.drivers.servos.dynamixel.commissioning import scan, set_up
+from hil.drivers.servos.dynamixel.register_map import RegisterMap
+from hil.drivers.servos.dynamixel.servo_samples import ALL_SERVOS, MultiTurnCounter
 
 NUMBERS = (1000, 1010, 1020, 1030, 1040, 1050)
 PORT = "hil://servos"

@@ -25,11 +25,12 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import ServoSetpoint, Status
-from hil.drivers.servos import DynamixelServos
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
-from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.servos.dynamixel.chip import ServoBus
+from hil.fakes.servos.dynamixel.true_parameters import ServoBusOptions
 from hil.fakes.world import World
 
 pytestmark = pytest.mark.alone

@@ -5,7 +5,7 @@ import pytest
 from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.drivers.servos.answer_timeouts import AnswerTimeouts
+from hil.drivers.servos.dynamixel.answer_timeouts import AnswerTimeouts
 
 LIMIT_NS = 500_000_000
 

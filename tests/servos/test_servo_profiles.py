@@ -6,7 +6,7 @@ from hypothesis import Phase, example, given
 from hypothesis import strategies as st
 from servo_client import MODEL, RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE, Client
 
-from hil.fakes.servos.motor_command import RECTANGLE, STEP, TRAPEZOID, TRIANGLE, Trajectory
+from hil.fakes.servos.dynamixel.motor_command import RECTANGLE, STEP, TRAPEZOID, TRIANGLE, Trajectory
 from tests.selected import draws
 
 DT_S = 0.004

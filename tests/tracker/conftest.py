@@ -7,8 +7,9 @@ import pytest
 from travelling_plant import TravellingPlant
 
 from hil.config.tracker import T265Config
-from hil.drivers.tracker import T265Tracker
-from hil.fakes.tracker import IDEAL, T265
+from hil.drivers.tracker.t265.driver import T265Tracker
+from hil.fakes.tracker.t265.chip import T265
+from hil.fakes.tracker.true_parameters import IDEAL
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.fakes.tracker.librealsense_frames import PoseFrame
-from hil.fakes.tracker.t265_camera import RATE_HZ, SETTINGS, T265
+from hil.fakes.tracker.t265.chip import RATE_HZ, SETTINGS, T265
+from hil.fakes.tracker.t265.librealsense_frames import PoseFrame
 
 _STREAM_UID = 1
 

@@ -21,10 +21,12 @@ from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
 from hil.core.errors import ConfigError, DeviceError
 from hil.core.geometry import quat_from_rotvec
-from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.t265_settings import wheel_calibration
-from hil.fakes.tracker import IDEAL, T265, TrackerTransport, TrackerTruthOptions
-from hil.fakes.tracker.wheel_odometer_input import WheelInput
+from hil.drivers.tracker.t265.driver import T265Tracker
+from hil.drivers.tracker.t265.settings import wheel_calibration
+from hil.fakes.tracker.t265.chip import T265
+from hil.fakes.tracker.t265.pose_server import TrackerTransport
+from hil.fakes.tracker.t265.wheel_odometer_input import WheelInput
+from hil.fakes.tracker.true_parameters import IDEAL, TrackerTruthOptions
 from hil.fakes.world import World
 from tests.tracker.software_device import SoftwareT265
 from tests.tracker.test_tracker_across_processes import feed_config, serving

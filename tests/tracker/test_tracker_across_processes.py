@@ -13,9 +13,10 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
 from hil.core.t265_datagrams import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
-from hil.drivers.tracker import FeedPipeline, T265Tracker
+from hil.drivers.tracker.t265.driver import T265Tracker
+from hil.drivers.tracker.t265.served_poses import FeedPipeline
 from hil.fakes.server import EmulationServer
-from hil.fakes.tracker import TrackerTransport
+from hil.fakes.tracker.t265.pose_server import TrackerTransport
 from tests.tracker.software_device import SoftwareT265
 
 pytestmark = pytest.mark.real_time

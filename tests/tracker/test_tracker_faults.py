@@ -11,8 +11,9 @@ from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
-from hil.drivers.tracker import T265Tracker
-from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS
+from hil.drivers.tracker.t265.driver import T265Tracker
+from hil.fakes.tracker.t265.chip import SUPPORTED_FAULTS
+from hil.fakes.tracker.true_parameters import IDEAL
 from hil.faults.fault import parse_fault
 
 

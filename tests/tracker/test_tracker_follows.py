@@ -7,7 +7,7 @@ import pytest
 
 from hil.core.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
 from hil.core.signals import Inputs, Status
-from hil.fakes.tracker import TrackerTruthOptions
+from hil.fakes.tracker.true_parameters import TrackerTruthOptions
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.pose_alignment import Mount
 from tests.selected import every

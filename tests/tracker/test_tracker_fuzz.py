@@ -11,8 +11,8 @@ from hil.config.tracker import T265Config
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
 from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
-from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.emulated_pipeline import FeedDevice, FeedFrame, FeedSensor
+from hil.drivers.tracker.t265.driver import T265Tracker
+from hil.drivers.tracker.t265.served_poses import FeedDevice, FeedFrame, FeedSensor
 from hil.fakes.world import VirtualClock, World
 from tests.selected import draws, every
 

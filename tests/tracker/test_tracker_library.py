@@ -10,8 +10,8 @@ from hil.bench.doctor.discovery import discover
 from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
-from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.librealsense_interface import PlainLibrary, StreamRequest, find_camera
+from hil.drivers.tracker.t265.driver import T265Tracker
+from hil.drivers.tracker.t265.librealsense_interface import PlainLibrary, StreamRequest, find_camera
 
 OTHER = ("Intel RealSense D435", "1234")
 

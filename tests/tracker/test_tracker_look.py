@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from hil.config.mavlink import MavlinkTrackerConfig
 from hil.core.signals import Status
-from hil.devices.doctor_watch import Watched
-from hil.devices.tracker import KIND, look
-from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
+from hil.drivers.doctor_watch import Watched
+from hil.drivers.tracker.kind import KIND, look
 
 
 def reported(statuses):

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from hil.fakes.tracker import IDEAL
-from hil.links.device_clock import DeviceClock
-from hil.links.pose_jumps import JumpTest
+from hil.fakes.tracker.true_parameters import IDEAL
+from hil.streams.device_clock import DeviceClock
+from hil.streams.pose_jumps import JumpTest
 
 STILL = (1.0, 0.0, 0.0, 0.0)
 

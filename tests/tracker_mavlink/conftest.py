@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from travelling_plant import TravellingPlant
 
-from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.devices.tracker.mavlink.emulated_computer import IDEAL, VisualInertialComputer
-from hil.devices.tracker.mavlink.emulated_links import ComputerLink
-from hil.devices.tracker.mavlink.transport_interface import Arrival, Link
+from hil.config.mavlink import MavlinkTrackerConfig
+from hil.drivers.tracker.mavlink.driver import MavlinkTracker
+from hil.fakes.tracker.mavlink.chip import IDEAL, VisualInertialComputer
+from hil.fakes.tracker.mavlink.links import ComputerLink
 from hil.fakes.world import VirtualClock, World
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan
+from hil.links.mavlink.transport_interface import Arrival, Link
 
 NAN = math.nan
 

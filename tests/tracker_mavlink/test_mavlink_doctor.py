@@ -6,9 +6,9 @@ import math
 import pytest
 from following import follow
 
-from hil.devices.tracker.mavlink.emulated_computer import IDEAL
-from hil.devices.tracker.mavlink.emulated_links import WorldLink
-from hil.devices.tracker.mavlink.odometry_messages import dialect
+from hil.fakes.tracker.mavlink.chip import IDEAL
+from hil.fakes.tracker.mavlink.links import WorldLink
+from hil.links.mavlink.messages import dialect
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

@@ -8,8 +8,8 @@ from following import follow, kinds, until
 
 from hil.core.errors import DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
-from hil.devices.tracker.mavlink.emulated_computer import IDEAL
-from hil.devices.tracker.mavlink.emulated_faults import SUPPORTED_FAULTS
+from hil.fakes.tracker.mavlink.chip import IDEAL
+from hil.fakes.tracker.mavlink.faults import SUPPORTED_FAULTS
 from hil.faults.fault import parse_fault
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")

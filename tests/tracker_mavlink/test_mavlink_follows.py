@@ -10,8 +10,8 @@ from following import follow
 
 from hil.core.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
 from hil.core.signals import Inputs, Status
-from hil.devices.tracker.mavlink import odometry_messages
-from hil.devices.tracker.mavlink.emulated_computer import IDEAL, ComputerTruthOptions
+from hil.fakes.tracker.mavlink.chip import IDEAL, ComputerTruthOptions
+from hil.links.mavlink import messages as odometry_messages
 from hil.loop.alignment import Alignment, AlignmentParameters, Mount
 from tests.selected import every
 

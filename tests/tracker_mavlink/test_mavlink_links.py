@@ -9,16 +9,16 @@ import pytest
 from following import follow, kinds
 from pydantic import ValidationError
 
+from hil.config.mavlink import MavlinkTrackerConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
-from hil.devices.tracker.mavlink.emulated_links import MavlinkTransport, SerialComputer
+from hil.drivers.tracker.mavlink.driver import MavlinkTracker
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.server import EmulationServer
+from hil.fakes.tracker.mavlink.chip import ComputerTruthOptions
+from hil.fakes.tracker.mavlink.links import MavlinkTransport, SerialComputer
 
 pytestmark = pytest.mark.alone
 

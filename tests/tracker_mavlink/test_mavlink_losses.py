@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.devices.tracker.mavlink.packet_losses import PacketLosses
+from hil.drivers.tracker.mavlink.packet_losses import PacketLosses
 
 
 def counted(packets):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hil.core.signals import Status
-from hil.devices.tracker.mavlink import odometry_messages
+from hil.links.mavlink import messages as odometry_messages
 
 LOCAL_NED, LOCAL_ENU, BODY_NED, BODY_FRD, BODY_FLU, LOCAL_FRD, LOCAL_FLU = 1, 4, 8, 12, 13, 20, 21
 DOWN, UP = np.diag([1.0, -1.0, -1.0]), np.eye(3)

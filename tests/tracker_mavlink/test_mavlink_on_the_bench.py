@@ -15,10 +15,10 @@ from hil.core.device import Search
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.core.signals import Status
-from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
-from hil.devices.tracker.mavlink.emulated_links import MavlinkTransport, SerialComputer
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
+from hil.fakes.tracker.mavlink.chip import ComputerTruthOptions
+from hil.fakes.tracker.mavlink.links import MavlinkTransport, SerialComputer
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run

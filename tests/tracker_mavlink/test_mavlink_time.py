@@ -8,8 +8,8 @@ from following import follow, kinds
 
 from hil.core.errors import DeviceTimeoutError
 from hil.core.signals import Status
-from hil.devices.tracker.mavlink.emulated_computer import IDEAL
-from hil.devices.tracker.mavlink.session import TimeSync
+from hil.drivers.tracker.mavlink.session import TimeSync
+from hil.fakes.tracker.mavlink.chip import IDEAL
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

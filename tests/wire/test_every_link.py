@@ -11,19 +11,20 @@ from hil.config.adhesion import VescConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.imu import Bno055Config
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig
+from hil.config.mavlink import MavlinkTrackerConfig
+from hil.config.microstrain import MicrostrainConfig
 from hil.config.servos import ServosConfig
 from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
-from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.driver import MicrostrainImu
-from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.drivers.adhesion.vesc_fan import VescFan
-from hil.drivers.encoders import As5045Encoders
-from hil.drivers.imu import Bno055Imu
-from hil.drivers.load_cells import CanCells, LineCells
-from hil.drivers.servos import DynamixelServos
-from hil.drivers.tracker import T265Tracker
+from hil.drivers.adhesion.vesc.driver import VescFan
+from hil.drivers.encoders.as5045.driver import As5045Encoders
+from hil.drivers.imu.bno055.driver import Bno055Imu
+from hil.drivers.imu.microstrain.driver import MicrostrainImu
+from hil.drivers.load_cells.hx711.can_driver import CanCells
+from hil.drivers.load_cells.hx711.line_driver import LineCells
+from hil.drivers.servos.dynamixel.driver import DynamixelServos
+from hil.drivers.tracker.mavlink.driver import MavlinkTracker
+from hil.drivers.tracker.t265.driver import T265Tracker
 from hil.fan_daemon.spec import Spec
 from tests.adhesion.kills import end_daemon
 from tests.emulate.emulators import emulator

@@ -17,8 +17,6 @@ from hil.bench.emulation import build_world, connect_in_process, supported_fault
 from hil.bench.injection import Injection
 from hil.bench.opening import make_bench_model
 from hil.core.errors import HilError
-from hil.devices.imu.microstrain.mip_packets import Field, encode
-from hil.drivers.mocap import Datagram
 from hil.fakes.world import VirtualClock
 from hil.faults import permission
 from hil.faults.at_the_link import LinkFaults
@@ -27,6 +25,8 @@ from hil.faults.plan import FaultPlan
 from hil.links.can_bus import CanLink
 from hil.links.framing import FRAMINGS, messages
 from hil.links.injection import FaultyBus, FaultyDatagrams, FaultyPort, in_front_of
+from hil.links.mip.packets import Field, encode
+from hil.links.udp_ports import Datagram
 
 PROFILE, SECONDS = "emulated_floor", 6.0
 

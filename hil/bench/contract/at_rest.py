@@ -29,7 +29,7 @@ from hil.core.signals import (
     WheelSetpoint,
     worst,
 )
-from hil.devices.doctor_watch import MORE_FAILURE, surplus
+from hil.drivers.doctor_watch import MORE_FAILURE, surplus
 from hil.recording.cycle_codec import DTYPES, CycleCodec
 from hil.recording.record_comparison import first_difference
 

@@ -10,7 +10,7 @@ from hil.bench.contract.delays import BUSY_SHARE, idle_for
 from hil.bench.contract.device_under_test import SHARE, Broken, Subject, due, read_for
 from hil.core.registry import kinds
 from hil.core.signals import Status, worst
-from hil.devices.doctor_watch import SUPPLY, restarted
+from hil.drivers.doctor_watch import SUPPLY, restarted
 
 _SETTLE_S, _WATCH_S, _TIMES, _IDLE_S = 0.6, 2.0, 3, 1.0
 _AT_THE_ENDS = 1

@@ -38,7 +38,7 @@ from hil.core.interfaces import Device
 from hil.core.package_errors import OURS, call_in_package
 from hil.core.registry import base_of, kinds
 from hil.core.signals import Inputs, Measurements, Status, worst
-from hil.devices.doctor_watch import Watched
+from hil.drivers.doctor_watch import Watched
 from hil.estimator.noise_figures import MEASURED, NoiseFigure
 from hil.estimator.sample_statistics import Spread, about_a_line, blocks, total
 from hil.estimator.tuning import value_of

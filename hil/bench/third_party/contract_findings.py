@@ -13,7 +13,7 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.finding import Finding
 from hil.core.nonfinite import unmarked_nonfinite_fields
 from hil.core.signals import Status, worst
-from hil.devices.doctor_watch import Watched
+from hil.drivers.doctor_watch import Watched
 
 OLDEST_NS, EARLY_NS = nanoseconds(0.3), nanoseconds(0.001)
 """Largest time by which a sample may be measured before its arrival, and after it."""

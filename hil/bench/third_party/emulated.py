@@ -14,7 +14,7 @@ from hil.bench.third_party.call_timeout import with_time_limit
 from hil.core.device import DeviceModel
 from hil.core.errors import HilError
 from hil.core.package_errors import OURS, PackageError, errors_as_package_error
-from hil.devices.emulated_device import Transport
+from hil.fakes.emulated_device import Transport
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 _MOST_AT_ONCE = 10_000

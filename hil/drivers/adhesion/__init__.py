@@ -1,1 +1,1 @@
-"""Drivers of the ducted fan that presses the robot on the wall."""
+"""Ducted fans that press the robot on its surface."""

@@ -17,12 +17,12 @@ from hil.config.adhesion import MotorConfig
 from hil.core.clock import Clock
 from hil.core.errors import HilError, UsageError
 from hil.core.signals import AdhesionSample, Stamp, Status
-from hil.drivers.adhesion.can_motor import DaemonMotor
 from hil.drivers.adhesion.force_keeper import ForceKeeper
+from hil.drivers.motor_controllers.daemon_motor import DaemonMotor
 from hil.fan_daemon.commander import MakeCommander
-from hil.links.silence_limit import SilenceTimer
-from hil.links.stuck_values import StuckTest
 from hil.robot.motor_cross_checks import Reading, impossible
+from hil.streams.silence_limit import SilenceTimer
+from hil.streams.stuck_values import StuckTest
 
 _VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
 """Ranges of battery voltage and transistor temperature; a value outside is damaged and not used."""

@@ -1,5 +1,1 @@
-"""Drivers of the propellers that carry part of the robot's weight."""
-
-from hil.drivers.thrust.teensy_propellers import TeensyThrust
-
-__all__ = ["TeensyThrust"]
+"""Propellers that carry part of the robot's weight."""

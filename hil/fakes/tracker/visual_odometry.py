@@ -24,7 +24,7 @@ from hil.core.geometry import (
     quat_rotate,
 )
 from hil.fakes.body_interface import BodyMotion
-from hil.fakes.tracker.camera_truth import TrackerTruthOptions
+from hil.fakes.tracker.true_parameters import TrackerTruthOptions
 from hil.support.numba_jit import compile_for, inner, kernel, plain
 
 # Error parameters (7,), filled in this order by `VisualOdometry.__init__` from the truth options.

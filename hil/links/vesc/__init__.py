@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.links.vesc.frames import (
+from hil.links.vesc.messages import (
     ALL_SERVOS,
     HIGHEST_ID,
     CanFrame,

@@ -1,0 +1,1 @@
+"""A fan on a motor controller that speaks DroneCAN (UAVCAN v0)."""

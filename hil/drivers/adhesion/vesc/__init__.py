@@ -1,0 +1,1 @@
+"""A fan on a VESC with the VESC's own CAN protocol."""

@@ -1,0 +1,1 @@
+"""Four AS5045 encoders behind a CAN node."""

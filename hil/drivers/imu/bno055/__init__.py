@@ -1,0 +1,1 @@
+"""The Bosch BNO055 on its UART."""

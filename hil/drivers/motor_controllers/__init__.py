@@ -1,0 +1,1 @@
+"""Motor controllers on CAN that the fan daemon commands: what fans and propellers share."""

@@ -1,0 +1,1 @@
+"""Dynamixel X servos on their bus: driver, search and set-up."""

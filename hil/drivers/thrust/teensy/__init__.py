@@ -1,0 +1,1 @@
+"""Propellers on a Teensy that converts lines to pulses."""

@@ -1,0 +1,1 @@
+"""Propellers on VESC motor controllers."""

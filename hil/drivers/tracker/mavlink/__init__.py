@@ -1,0 +1,1 @@
+"""A visual-inertial computer that sends its poses by MAVLink."""

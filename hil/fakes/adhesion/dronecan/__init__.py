@@ -1,0 +1,1 @@
+"""The emulated fan on a controller that speaks DroneCAN."""

@@ -1,0 +1,1 @@
+"""The emulated BNO055: register map, UART firmware, sensors and fusion."""

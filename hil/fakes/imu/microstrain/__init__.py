@@ -1,0 +1,1 @@
+"""The emulated MicroStrain sensor: commands, sensors and filter."""

@@ -1,0 +1,1 @@
+"""The emulated motion capture server (OptiTrack Motive, NatNet)."""

@@ -1,0 +1,1 @@
+"""The emulated servo bus: eight Dynamixel servos with firmware, timing and faults."""

@@ -1,0 +1,1 @@
+"""The emulated propellers on a Teensy: speed controllers and motors."""

@@ -1,0 +1,1 @@
+"""The emulated propellers on VESC motor controllers."""

@@ -1,0 +1,1 @@
+"""The emulated visual-inertial computer that sends MAVLink odometry."""

@@ -1,0 +1,1 @@
+"""The emulated T265 tracking camera."""

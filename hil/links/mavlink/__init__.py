@@ -1,0 +1,1 @@
+"""MAVLink odometry: messages, and how they are carried."""

@@ -1,0 +1,1 @@
+"""The MIP protocol of MicroStrain sensors: packets and fields."""
