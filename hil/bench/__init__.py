@@ -1,6 +1,6 @@
 """A bench ready to use: configuration, devices, clock and loop combined.
 
-Only this package and `hil.devices` import drivers and fakes; other packages use them through this one. `with
+Only this package and `hil.devkit` import drivers and fakes; other packages use them through this one. `with
 open_bench("emulated") as bench:` gives a script the same devices, clock and loop as the command line and the
 procedures.
 """

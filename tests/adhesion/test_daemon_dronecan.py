@@ -13,7 +13,7 @@ from hil.fan_daemon.bus_cycle import BusCycle
 from hil.fan_daemon.fan_control import FanControl, SetPoint
 from hil.fan_daemon.protocols import protocol_of
 from hil.fan_daemon.spec import Spec
-from hil.links.dronecan import frames
+from hil.links.dronecan import messages as frames
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "dronecan_frames.json").read_text())
 RUNNING = GOLDEN["statuses"][0]

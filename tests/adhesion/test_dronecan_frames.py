@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import UsageError
-from hil.links.dronecan import frames
+from hil.links.dronecan import messages as frames
 from hil.links.dronecan.messages import StatusReader, command_frame, command_of, node_status_frame
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "dronecan_frames.json").read_text())

@@ -28,7 +28,7 @@ from hil.links.dronecan.messages import StatusReader, command_of
 from hil.links.mavlink.messages import Parser, axes_of, dialect, pose_of, twist_of
 from hil.links.mip import fields as mip_fields
 from hil.links.mip.packets import PacketParser, encode
-from hil.links.vesc import frames as vesc
+from hil.links.vesc import messages as vesc
 from hil.live.velocity_input import parse_command
 from hil.recording import cdr
 from hil.recording.ros_types import MessageMaker, from_cdr, to_cdr
