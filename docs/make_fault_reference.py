@@ -159,7 +159,7 @@ SHARED = {
     "gap_s": f"{GAP_S:g}",
 }
 _INHERITED = re.compile(
-    r"from (hil[\w.]+_faults|hil\.fakes\.adhesion\.(?:vesc_node|motor_controller)) import"
+    r"from (hil\.fakes\.(?:imu\.inertial_faults|tracker\.pose_errors|motor_controllers\.\w+)) import"
 )
 _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
 

@@ -74,7 +74,7 @@ def faults(bench: str) -> dict[str, dict[str, list[str]]]:
 
 def _kind(name: str) -> DeclaredKind:
     """A shipped kind, from the class attributes in the sources of its package."""
-    sources = (path.read_bytes() for path in sorted((_PACKAGE / "devices" / name).rglob("*.py")))
+    sources = (path.read_bytes() for path in sorted((_PACKAGE / "drivers" / name).rglob("*.py")))
     said = {
         part.name: dict(_attributes(part))
         for source in sources

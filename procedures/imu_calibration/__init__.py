@@ -64,7 +64,7 @@ class Parameters(BaseModel):
 
 
 class StoresOffsets(Protocol):
-    """Required interface of the IMU beside its samples: `hil.drivers.imu.Bno055Imu`."""
+    """Required interface of the IMU beside its samples: `hil.drivers.imu.bno055.driver.Bno055Imu`."""
 
     def read_calibration(self) -> Any:
         """Return the offsets that the chip has learnt, an object with `save(path)`."""

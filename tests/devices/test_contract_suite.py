@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.config.imu import Bno055Config
 from hil.drivers.imu.bno055.model import Bno055
-from hil.drivers.imu import Bno055Imu
+from hil.drivers.imu.bno055.driver import Bno055Imu
 
 
 class Config(Bno055Config):

@@ -18,7 +18,7 @@ from hil.recording import cycle_codec
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "compatibility.md").read_text(encoding="utf-8")
-MODULES = {name for name in re.findall(r"`(hil(?:\.[a-z_]+)*)`", PAGE) if name.islower()}
+MODULES = {name for name in re.findall(r"`(hil(?:\.[a-z_0-9]+)*)`", PAGE) if name.islower()}
 
 
 def schema_of(model):

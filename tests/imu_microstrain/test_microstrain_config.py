@@ -5,12 +5,12 @@ from pydantic import ValidationError
 
 from hil.config.microstrain import PACKET_BYTES, MicrostrainConfig
 from hil.links.mip.fields import LAYOUTS
-from hil.links.mip.packets import Field, Packet, encode
+from hil.links.mip.packets import Field, encode
 
 
 def test_the_packet_length_is_that_of_its_fields():
     fields = tuple(Field(kind, bytes(layout.size)) for kind, layout in LAYOUTS.items())
-    assert len(encode(Packet(0x82, fields))) == PACKET_BYTES
+    assert len(encode(0x82, fields)) == PACKET_BYTES
 
 
 def test_as_delivered_the_line_can_carry_the_rate():
