@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from hil.fakes.servos.sensing import _ROWS, GRID_NS, Sensing
+from hil.fakes.servos.dynamixel.sensing import _ROWS, GRID_NS, Sensing
 
 import hil
 from hil.core.errors import HilError
