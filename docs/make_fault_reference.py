@@ -216,7 +216,7 @@ def _declared(kind: str, model: str) -> dict[str, Supported]:
 
 
 def _room(model: object) -> str:
-    return model.truth_options().__module__.rpartition(".")[0]  # type: ignore[attr-defined]
+    return model.chip.partition(":")[0].rpartition(".")[0]  # type: ignore[attr-defined]
 
 
 def _table(title: str, declared: dict[str, Supported], room: str) -> Iterator[str]:

@@ -4,10 +4,10 @@ import contextlib
 
 import numpy as np
 import pytest
-from hil.fakes.servos.dynamixel.sensing import _ROWS, GRID_NS, Sensing
 
 import hil
 from hil.core.errors import HilError
+from hil.fakes.servos.dynamixel.sensing import _ROWS, GRID_NS, Sensing
 from hil.robot.trajectories import line
 
 OLD = "servos:delayed@2.0,delay_s=0.05"
