@@ -126,6 +126,10 @@ to its start after each cell, and motion capture takes the place of the emulated
   page, say for each fault whether it was at the chip or at the link, when, and how many messages it hit.
 * Power and content are not of the link: `off`, `brownout`, `reset`, `stuck`, `wrong` and `jump` are
   refused. `silent` withholds what the device sends. A single servo or encoder has no link of its own.
+* **By hand.** With `hil run --by-hand`, at a terminal, the operator is asked to switch the power for `off`,
+  `brownout` and `reset` while the bench goes on. `injected` then says `hand`, with the times of Enter. What
+  nobody did is an error. On a wall without a tether a hand leaves servos, fan and propellers alone. Emulated
+  devices have these faults at the chip, with or without the option.
 
 On a CAN bus with several nodes a fault hits the frames of the named device only. A PASS with faults at the
 link says nothing about faults of the power. No real device has been tried.

@@ -233,7 +233,7 @@ def connect_in_process(
 
 
 def planned_faults(
-    config: BenchConfig, given: Sequence[str | Fault], *, inject_real: bool = False
+    config: BenchConfig, given: Sequence[str | Fault], *, inject_real: bool = False, by_hand: bool = False
 ) -> tuple[Fault, ...]:
     """Read all faults of a bench; whether emulated devices support them is checked when these are built.
 
@@ -241,13 +241,14 @@ def planned_faults(
         config: the bench configuration; its faults come first.
         given: further specs or paths of TOML timelines.
         inject_real: True to inject faults of real devices at their links.
+        by_hand: True if an operator does those of the power of real devices.
 
     Raises:
         UsageError, ConfigError: a spec or a file that cannot be read.
         FaultNotSupportedError: a fault of a real device that may not be injected.
     """
     faults = _faults(config, given)
-    check_links(config, at_links(config, faults), consent=inject_real)
+    check_links(config, at_links(config, faults), consent=inject_real, by_hand=by_hand)
     if faults and not config.emulated() and (unknown := [f for f in faults if not real_device(config, f)]):
         raise FaultNotSupportedError(
             f"fault {describe(unknown[0])}: {config.name} has no such device",
@@ -267,7 +268,12 @@ def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, .
 
 
 def check_faults(
-    config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = (), inject_real: bool = False
+    config: BenchConfig,
+    given: Sequence[str | Fault],
+    *,
+    only: Sequence[str] = (),
+    inject_real: bool = False,
+    by_hand: bool = False,
 ) -> tuple[Fault, ...]:
     """Read the faults of a bench, and refuse those that no device can produce.
 
@@ -279,6 +285,7 @@ def check_faults(
         given: further specs or paths of TOML timelines.
         only: names of the devices that will be emulated; empty for all emulated devices of the bench.
         inject_real: True to inject faults of real devices at their links.
+        by_hand: True if an operator does those of the power of real devices.
 
     Returns:
         All faults.
@@ -287,7 +294,7 @@ def check_faults(
         UsageError, ConfigError: a spec or a file cannot be read, or a device cannot be emulated.
         FaultNotSupportedError: names the fault, the supported ones, and the one probably meant.
     """
-    faults = planned_faults(config, given, inject_real=inject_real)
+    faults = planned_faults(config, given, inject_real=inject_real, by_hand=by_hand)
     if config.emulated():
         links = at_links(config, faults)
         chips = tuple(fault for fault in faults if fault not in links)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
+from hil.bench.by_hand import Hand, HandFaults
 from hil.bench.device_within import DeviceWithin
 from hil.bench.drivers import model_of
 from hil.bench.injected_travel import TravelBound, seeing_a_slide
@@ -38,26 +39,34 @@ def at_links(config: BenchConfig, faults: Sequence[Fault]) -> tuple[Fault, ...]:
     return tuple(fault for fault in faults if real_device(config, fault))
 
 
-def check_links(config: BenchConfig, faults: Sequence[Fault], *, consent: bool) -> None:
+def check_links(
+    config: BenchConfig, faults: Sequence[Fault], *, consent: bool, by_hand: bool = False
+) -> None:
     """Refuse faults of real devices that must not be injected; nothing is opened.
 
     Args:
         config: the bench configuration.
         faults: faults whose device is real.
-        consent: True if the command line asks for faults of real devices.
+        consent: True if the command line asks for faults at the links of real devices.
+        by_hand: True if an operator does those of the power.
 
     Raises:
         FaultNotSupportedError: names the first fault and the reason.
     """
     if not faults:
         return
-    first = faults[0]
-    if not consent:
+    refused = [f for f in faults if not (by_hand if f.kind in permission.POWER else consent)]
+    if first := next(iter(refused), None):
+        power = first.kind in permission.POWER
         raise FaultNotSupportedError(
             f"fault {describe(first)}: {real_device(config, first)} of {config.name} is real",
             expected="faults of emulated devices",
-            remedy="--inject-real (pytest: --hil-inject-real) injects it at the link, where [faults] of the "
-            "bench file permits it; --emulate injects it at an emulated device",
+            remedy=(
+                "--by-hand asks the operator to switch the power"
+                if power
+                else "--inject-real (pytest: --hil-inject-real) injects it at the link"
+            )
+            + ", where [faults] of the bench file permits it; --emulate injects it at an emulated device",
         )
     for fault in faults:
         if fault.device != (whole := real_device(config, fault)):
@@ -74,6 +83,7 @@ def check_links(config: BenchConfig, faults: Sequence[Fault], *, consent: bool) 
         named=config.faults.devices,
         most=config.faults.real,
         present=permission.situation(on_wall=config.environment.on_wall, tethered=config.safety.tethered),
+        by_hand=by_hand,
     )
 
 
@@ -85,13 +95,24 @@ class Injection:
         clock: clock of the bench.
         faults: faults of real devices, already checked.
         seed: seed of the draws.
+        hand: operator who does those of the power; None for none.
     """
 
     def __init__(
-        self, config: BenchConfig, clock: Clock, faults: Sequence[Fault] = (), seed: int = 0
+        self,
+        config: BenchConfig,
+        clock: Clock,
+        faults: Sequence[Fault] = (),
+        seed: int = 0,
+        hand: Hand | None = None,
     ) -> None:
-        self._clock, self._config, self._faults, self._seed = clock, config, tuple(faults), seed
-        self._plan = FaultPlan(faults)
+        by_hand = [fault for fault in faults if fault.kind in permission.POWER]
+        self._hands = (
+            HandFaults(by_hand, hand, self._since_opened_ns) if hand is not None and by_hand else None
+        )
+        self._clock, self._config, self._seed = clock, config, seed
+        self._faults = tuple(fault for fault in faults if fault not in by_hand)
+        self._plan = FaultPlan(map(permission.as_lasting, faults))
         self._links: list[LinkFaults] = []
         self._world_ns: Callable[[], int] = lambda: 0
         self._ended_ns: int | None = None
@@ -101,8 +122,8 @@ class Injection:
         )
 
     def sinks(self) -> tuple[Sink, ...]:
-        """Sinks that stop a robot that has gone too far."""
-        return () if self._bound is None else (self._bound,)
+        """Sinks that stop a robot that has gone too far, and that ask the operator for faults."""
+        return tuple(sink for sink in (self._bound, self._hands) if sink is not None)
 
     def _acts(self, name: str) -> bool:
         return bool(self._plan.active(name, self._world_ns()))
@@ -129,9 +150,11 @@ class Injection:
 
     def disarm(self) -> None:
         """End all faults: from now on the robot is judged by what its devices send. Idempotent."""
-        if self._ended_ns is None and self._faults:
+        if self._ended_ns is None and not self._plan.empty:
             self._ended_ns = self._world_ns()
             self._plan.clear()
+            if self._hands is not None:
+                self._hands.end()
 
     def check(self, trajectory: Trajectory) -> None:
         """Refuse a trajectory that leads a robot on a wall, without a tether, too far with these faults.
@@ -155,7 +178,8 @@ class Injection:
         """Each fault with begin and end, s since the bench was opened, and number of messages that it hit."""
         hit = {spec: count for link in self._links for spec, count in link.hit.items()}
         end_ns = self._world_ns() if self._ended_ns is None else self._ended_ns
-        return [
+        rows = [] if self._hands is None else self._hands.report(end_ns)
+        return rows + [
             {
                 "fault": describe(fault),
                 "at": "link",
@@ -168,9 +192,12 @@ class Injection:
 
     def without_effect(self) -> tuple[str, ...]:
         """Specs of the faults that have begun and hit no message."""
-        return tuple(
-            str(row["fault"]) for row in self.report() if row["begun_s"] is not None and not row["messages"]
-        )
+        return tuple(str(row["fault"]) for row in self.report() if was_missed(row))
+
+
+def was_missed(row: Mapping[str, object]) -> bool:
+    """Whether a fault of `Injection.report` has begun and hit no message, or was not done by hand."""
+    return row["messages"] == 0 and (row["begun_s"] is not None or row["at"] == "hand")
 
 
 def nothing_hit(specs: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.bench import Bench
+from hil.bench.by_hand import Hand
 from hil.bench.camera_odometry import with_wheel_sigma
 from hil.bench.drivers import make_device_set, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
@@ -49,6 +50,7 @@ def open_bench(
     calibration: str | Path | None = None,
     start_pose: Sequence[float] | None = None,
     inject_real: bool = False,
+    by_hand: Hand | None = None,
 ) -> Bench:
     """Make a bench; enter it as a context manager.
 
@@ -67,6 +69,8 @@ def open_bench(
             An emulated robot is placed there.
         inject_real: True to inject faults of real devices at their links; `[faults]` of the bench file
             must permit it, too.
+        by_hand: operator who does faults of the power of real devices (`off`, `brownout`, `reset`), as
+            `[faults]` of the bench file permits.
 
     Raises:
         ConfigError: the configuration or the calibration is wrong.
@@ -84,21 +88,21 @@ def open_bench(
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
     opened_benches.call_guard(config, checked)
     model = _model(with_wheel_sigma(checked), calibration, int(seed))
-    planned = planned_faults(model.config, faults, inject_real=inject_real)
-    bench = _put_together(model, planned, sinks, realtime=realtime)
+    planned = planned_faults(model.config, faults, inject_real=inject_real, by_hand=by_hand is not None)
+    bench = _put_together(model, planned, sinks, by_hand, realtime=realtime)
     opened_benches.show(bench)
     return bench
 
 
 def _put_together(
-    model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...], *, realtime: bool
+    model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...], hand: Hand | None, *, realtime: bool
 ) -> Bench:
     """Assemble a bench from a model, with real, served or in-process emulated devices and their clock."""
     config = model.config
     if not config.emulated():
-        return _real(model, plan, {}, sinks, LostTime())
+        return _real(model, plan, {}, sinks, LostTime(), hand)
     if realtime or len(config.emulated()) < len(config.devices()):
-        return _at_the_wire(model, plan, sinks)
+        return _at_the_wire(model, plan, sinks, hand)
     world = build_world(config, seed=model.seed, faults=plan)
     connected = connect_in_process(config, world)
     virtual = VirtualClock(world)
@@ -123,7 +127,9 @@ def make_bench_model(
     return _model(load_bench(config), calibration, 0)
 
 
-def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...]) -> Bench:
+def _at_the_wire(
+    model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...], hand: Hand | None
+) -> Bench:
     config = model.config
     links = at_links(config, plan)
     chips = tuple(fault for fault in plan if fault not in links)
@@ -135,7 +141,7 @@ def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, 
     except DeviceError:
         check_faults(served, chips)  # an error in a key of the bench file is reported instead
         raise
-    bench = _real(model, plan, _reach(config, emulator.endpoints), sinks, LostTime(emulator.pid))
+    bench = _real(model, plan, _reach(config, emulator.endpoints), sinks, LostTime(emulator.pid), hand)
     bench.on_open(emulator.begin)
     bench.on_close(emulator.close)
     return bench
@@ -147,10 +153,11 @@ def _real(
     connections: Mapping[str, Connection],
     sinks: tuple[Sink, ...],
     lost: LostTime,
+    hand: Hand | None,
 ) -> Bench:
     """A bench in real time, with the faults of its real devices in front of their drivers."""
     clock, config = MonotonicClock(), model.config
-    injection = Injection(config, clock, at_links(config, plan), model.seed)
+    injection = Injection(config, clock, at_links(config, plan), model.seed, hand)
     rig = make_device_set(config, clock, connections, lost=lost, in_front=injection.in_front_of)
     return Bench(model, clock, rig, sinks=sinks, faults=plan, injection=injection)
 

@@ -13,7 +13,7 @@ import click
 from hil.cli import start_question
 from hil.cli.completion_types import BENCH, CONTROLLER, DEVICES, FAULT, SETTING
 from hil.cli.options import FILE, SEED, FiniteRange
-from hil.cli.question_answers import watching
+from hil.cli.question_answers import at_the_terminal, watching
 from hil.core.choices import HIGHEST_DOMAIN, LAWS
 
 if TYPE_CHECKING:
@@ -59,6 +59,11 @@ _OPTIONS = {
         is_flag=True,
         help="Inject faults of real devices at their links, as far as [faults] of the bench file permits.",
     ),
+    "by_hand": _stated(
+        "--by-hand",
+        is_flag=True,
+        help="Faults off, brownout and reset of real devices: you are asked at the terminal to switch power.",
+    ),
     "calibration": _stated("--calibration", type=FILE, help="calibration.toml to apply."),
     "controller": _stated(
         "--controller",
@@ -101,6 +106,7 @@ class BenchRequest:
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
         inject_real: True to inject faults of real devices at their links.
+        by_hand: True to ask the operator for faults of the power of real devices.
         calibration: file to apply.
         controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
         ros2: True to publish as ROS 2 topics.
@@ -117,6 +123,7 @@ class BenchRequest:
     realtime: bool = False
     faults: tuple[str, ...] = ()
     inject_real: bool = False
+    by_hand: bool = False
     calibration: Path | None = None
     controller: str = ""
     ros2: bool = False
@@ -138,7 +145,7 @@ class BenchRequest:
             otherwise: bench to open if none was named.
 
         Raises:
-            UsageError: `--start` is no pose, or `--controller` is unknown.
+            UsageError: `--start` is no pose, `--by-hand` without a terminal, or `--controller` is unknown.
             ConfigError: the controller of the user's own cannot be loaded.
         """
         from hil.procedure.bench_request import BenchSource
@@ -157,6 +164,7 @@ class BenchRequest:
             realtime=self.realtime,
             faults=self.faults,
             inject_real=self.inject_real,
+            by_hand=at_the_terminal() if self.by_hand else None,
             overrides={**overrides, **start_question.start_override(self.start_pose)},
             calibration=self.calibration,
             controller=own,

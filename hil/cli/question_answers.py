@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import select
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,8 +14,10 @@ import click
 
 from hil.cli import progress
 from hil.cli.options import FileName
+from hil.core.errors import UsageError
 
 if TYPE_CHECKING:
+    from hil.bench.by_hand import Hand
     from hil.config.bench import BenchConfig
     from hil.core.interfaces import Sink
     from hil.procedure.operator import Operator
@@ -43,6 +48,31 @@ def operator(answers: Path | None) -> Operator:
 def _say(kind: str, text: str) -> None:
     if kind == "question":
         click.echo(text, err=True)
+
+
+class _TerminalHand:
+    """The person at the terminal, who is asked while the bench goes on."""
+
+    def say(self, text: str) -> None:
+        """Print what to do on stderr."""
+        click.echo(f"hil: NOW: {text}", err=True)
+
+    def has_done(self) -> bool:
+        """Whether a line was entered since the last call."""
+        done = False
+        while select.select([sys.stdin], [], [], 0.0)[0] and os.read(sys.stdin.fileno(), 4096):
+            done = True
+        return done
+
+
+def at_the_terminal() -> Hand:
+    """The person at the terminal, for faults by hand; raises `UsageError` without a terminal."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise UsageError(
+            "--by-hand asks a person, and standard input is no terminal",
+            remedy="start it in a terminal; `silent` with --inject-real needs nobody",
+        )
+    return _TerminalHand()
 
 
 def asked_to_end() -> Interrupts:

@@ -74,6 +74,7 @@ class _WithParameters(click.Command):
     "realtime",
     "faults",
     "inject_real",
+    "by_hand",
     "calibration",
     bench={"default": None, "help": "Bench file, or a shipped profile [default: the procedure's, emulated]."},
     faults={

@@ -7,6 +7,7 @@ always arrives; the fan's commands come from a process of its own, which has no 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from hil.core.clock import NS_PER_S
 from hil.core.errors import FaultNotSupportedError
@@ -41,8 +42,11 @@ SEES_A_SLIDE = ("tracker", "mocap", "load_cells")
 """Sensors, one of which has no fault at any time of a plan on a wall."""
 LONGEST_TRAVEL_M = 0.3
 """Longest distance that a robot on a wall drives with a fault in front of one of its devices."""
-_POWER = ("off", "brownout", "reset")
-_AT_POWER = "use `silent`, which withholds what the device sends; or switch its power by hand"
+POWER = ("off", "brownout", "reset")
+"""Faults of the power of a device, which only a hand can do."""
+_AT_POWER = "use `silent`, which withholds what the device sends; or --by-hand, at a terminal"
+_NO_HAND_ON_A_WALL = ("servos", *HOLDING)
+"""Devices whose power holds the robot."""
 
 
 def situation(*, on_wall: bool, tethered: bool) -> str:
@@ -59,6 +63,7 @@ def check(
     named: Iterable[str],
     most: str,
     present: str,
+    by_hand: bool = False,
 ) -> None:
     """Refuse faults that must not be injected in front of real devices.
 
@@ -70,6 +75,7 @@ def check(
         named: `[faults] devices` of the bench file.
         most: `[faults] real` of the bench file: the most dangerous situation that it permits.
         present: situation of the robot.
+        by_hand: True if an operator switches the power of devices.
 
     Raises:
         FaultNotSupportedError: names the first fault and the reason.
@@ -89,19 +95,38 @@ def check(
                 expected=", ".join(named) or "no device",
                 remedy=f'add "{fault.device}" to devices in [faults], if its messages may be damaged',
             )
+        if by_hand and fault.kind in POWER:
+            _check_hand(fault, present)
+            continue
         _check_kind(fault, wires.get(fault.device, ""))
         if present == "wall":
             _check_on_wall(fault)
     if present == "wall":
-        _must_leave_one(faults, seeing)
+        _must_leave_one([as_lasting(fault) for fault in faults], seeing)
 
 
 _PLACE = {"floor": "on the floor", "tethered": "on a wall, on a tether", "wall": "on a wall without a tether"}
 
 
+def as_lasting(fault: Fault) -> Fault:
+    """Return the fault; one that a hand ends without an end, as nobody knows when."""
+    return replace(fault, end_ns=None) if fault.kind in POWER else fault
+
+
+def _check_hand(fault: Fault, present: str) -> None:
+    if present == "wall" and fault.device in _NO_HAND_ON_A_WALL:
+        raise FaultNotSupportedError(
+            f"fault {describe(fault)}: the power of {fault.device} holds the robot on its wall",
+            expected="a robot on the floor or on a tether",
+            remedy="on a wall use `silent` of the servos, for 1 s at most",
+        )
+    if fault.options:
+        raise FaultNotSupportedError(f"fault {describe(fault)}: a hand has no options", expected="no option")
+
+
 def _check_kind(fault: Fault, wire: str) -> None:
     supported = BY_WIRE.get(wire, {})
-    if fault.kind in _POWER:
+    if fault.kind in POWER:
         raise FaultNotSupportedError(
             f"fault {describe(fault)}: {fault.kind} is of the power of a real device, not of its link",
             expected="one of " + ", ".join(supported),

@@ -20,6 +20,7 @@ from hil.procedure.user_controllers import make_own
 
 if TYPE_CHECKING:
     from hil.bench import Bench
+    from hil.bench.by_hand import Hand
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class BenchSource:
         realtime: True to emulate devices at wire level, in real time.
         faults: fault specs.
         inject_real: True to inject faults of real devices at their links.
+        by_hand: operator who does faults of the power of real devices; None for none.
         overrides: dotted key -> value.
         calibration: file to apply.
         controller: the user's own controller for every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or
@@ -48,6 +50,7 @@ class BenchSource:
     realtime: bool = False
     faults: tuple[str, ...] = ()
     inject_real: bool = False
+    by_hand: Hand | None = field(default=None, compare=False)
     overrides: Mapping[str, object] = field(default_factory=dict)
     calibration: Path | None = None
     controller: str = ""
@@ -55,8 +58,8 @@ class BenchSource:
     publish: Callable[[Mapping[str, Any]], Sink] | None = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state to pickle for another process, without `publish`."""
-        return {**self.__dict__, "publish": None}
+        """Return the state to pickle for another process, without `publish` and `by_hand`."""
+        return {**self.__dict__, "publish": None, "by_hand": None}
 
     @cached_property
     def config(self) -> BenchConfig:
@@ -83,7 +86,7 @@ class BenchSource:
         """
         from hil.bench import check_faults
 
-        check_faults(self.config, self.faults, inject_real=self.inject_real)
+        check_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=self.by_hand is not None)
 
     def with_its_faults(self) -> BenchSource:
         """Return the same bench with only the faults of devices that it has.
@@ -106,6 +109,7 @@ class BenchSource:
             realtime=self.realtime,
             faults=self.faults,
             inject_real=self.inject_real,
+            by_hand=self.by_hand,
             overrides=self.overrides,
             sinks=(*(make(self.config) for make in self.watch), *sinks),
             calibration=self.calibration,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.hold.result import untouched
-from hil.bench.injection import nothing_hit
+from hil.bench.injection import nothing_hit, was_missed
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.config.device_place import device_place
 from hil.core.call_chain import as_json, chain_of, place_of
@@ -62,8 +62,7 @@ def not_held(context: Context, known: Failure | None) -> list[Failure]:
 
 def without_effect(context: Context, known: Failure | None) -> list[Failure]:
     """Return the error for faults in front of real devices that hit no message, if the run has no other."""
-    begun = [row for row in context.benches.injected if row["begun_s"] is not None]
-    specs = [str(row["fault"]) for row in begun if row["messages"] == 0]
+    specs = [str(row["fault"]) for row in context.benches.injected if was_missed(row)]
     if known is not None or not specs:
         return []
     return [Failure("FaultWithoutEffect", nothing_hit(specs), "closing the bench", EXIT_USAGE)]
@@ -104,7 +103,9 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
     proc, benches, past = context.proc, context.benches, context.benches.past
     findings, source = context.findings, context.source
     missed: tuple[str, ...] = ()
-    planned = planned_faults(source.config, source.faults, inject_real=source.inject_real)
+    planned = planned_faults(
+        source.config, source.faults, inject_real=source.inject_real, by_hand=source.by_hand is not None
+    )
     if past is None:  # the world time that an interrupted run reached is not known
         missed = not_begun(planned, benches.world_ns)
     reported = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []

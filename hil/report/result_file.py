@@ -115,7 +115,7 @@ class _Granted(_Part):
 
 class _Injected(_Part):
     fault: str
-    at: Literal["chip", "link"]
+    at: Literal["chip", "link", "hand"]
     begun_s: float | None
     ended_s: float
     messages: int | None

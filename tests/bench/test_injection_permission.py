@@ -25,7 +25,11 @@ WIRES = {
 
 
 def refused(
-    *specs: str, present: str = "wall", most: str = "wall", named: tuple[str, ...] = tuple(WIRES)
+    *specs: str,
+    present: str = "wall",
+    most: str = "wall",
+    named: tuple[str, ...] = tuple(WIRES),
+    by_hand: bool = False,
 ) -> str:
     """Why faults are refused; empty where they are not."""
     try:
@@ -37,6 +41,7 @@ def refused(
             named=named,
             most=most,
             present=present,
+            by_hand=by_hand,
         )
     except FaultNotSupportedError as error:
         return str(error)
@@ -65,6 +70,23 @@ def test_a_device_that_the_bench_file_does_not_name_has_no_faults():
 @pytest.mark.parametrize("kind", ["off", "brownout", "reset"])
 def test_faults_of_the_power_are_refused_with_the_remedy(kind):
     assert "silent" in refused(f"imu:{kind}@2", present="floor")
+
+
+@pytest.mark.parametrize(
+    ("specs", "present", "allowed"),
+    [
+        (("servos:off@2+1",), "floor", True),
+        (("thrust:reset@2",), "tethered", True),
+        (("servos:off@2+1",), "wall", False),
+        (("adhesion:brownout@2",), "wall", False),
+        (("mocap:off@2+1",), "wall", True),
+        (("mocap:off@2+1", "tracker:silent@9+1", "load_cells:silent@9+1"), "wall", False),
+        (("imu:off@2+1,probability=1",), "floor", False),
+        (("imu:stuck@2",), "floor", False),
+    ],
+)
+def test_a_hand_switches_no_power_that_holds_the_robot(specs, present, allowed):
+    assert (not refused(*specs, present=present, by_hand=True)) is allowed
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def faults_at_links(config: BenchConfig) -> dict[str, Supported]:
         )
     if config.environment.on_wall and not config.safety.tethered:
         raise UsageError(
-            "hil faults --inject-real: the robot hangs on a wall without a tether",
+            "--inject-real: the robot hangs on a wall without a tether",
             expected="a robot on the floor, or on a tether (safety.tethered = true)",
             remedy="`hil run --fault ... --inject-real` injects a single fault that is permitted there",
         )
