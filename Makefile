@@ -33,7 +33,7 @@ help:
 	@echo "make record     record a short drive in $(RECORDED), for another computer"
 	@echo "make verify     verify what another computer has recorded and left in $(RECORDED)"
 	@echo "make lint       ruff, mypy --strict, import-linter, schemas of the workflows"
-	@echo "make docs       write docs/bench-file.md, docs/faults.md and the pictures of rooms and robot afresh"
+	@echo "make docs       write the references in docs/ and the pictures of rooms and robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
 	@echo "make notebooks  run both notebooks of docs/notebooks"
 	@echo "make dist       build wheel and source archive in dist/ and check them"
@@ -129,6 +129,8 @@ bench: $(BIN)/.for-test
 docs: $(BIN)/.for-lint
 	$(BIN)/python docs/make_bench_reference.py
 	$(BIN)/python docs/make_fault_reference.py
+	$(BIN)/python docs/make_python_reference.py
+	$(BIN)/python docs/make_command_reference.py
 	$(BIN)/python docs/make_architecture.py
 	$(BIN)/python docs/images/render_robot_on_wall.py
 

@@ -10,7 +10,7 @@ from hil import __version__
 project = "hil-4wis4wid"
 author = copyright = "hil-4wis4wid maintainers"
 version = release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_click"]
+extensions = ["myst_parser"]
 root_doc = "docs/index"
 include_patterns = [
     *("README.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "CHANGELOG.md"),
@@ -21,14 +21,6 @@ myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
 default_role = "code"
 highlight_language = "text"  # for a block that names no language: mostly output of a command
-autodoc_member_order = "bysource"
-autodoc_typehints = "description"
-autodoc_typehints_description_target = "documented"
-autodoc_class_signature = "mixed"
-python_use_unqualified_type_names = True
-autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Array": "Array"}
-napoleon_numpy_docstring = False
-napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = f"hil-4wis4wid {__version__}"
@@ -36,6 +28,6 @@ html_extra_path = ["site"]
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_js_files = ["copy.js"]
-smartquotes = False  # in the help of commands they make one dash of the two before an option
+smartquotes = False  # they make one dash of the two before an option
 html_copy_source = False
 html_show_sphinx = False

@@ -38,10 +38,13 @@ def test_links_and_pictures_lead_somewhere(page):
 
 
 def test_the_references_are_current_and_all_that_is_on_them_is_explained():
-    scripts = [str(ROOT / "docs" / f"make_{name}_reference.py") for name in ("bench", "fault")]
+    names = ("bench", "fault", "python", "command")
+    scripts = [str(ROOT / "docs" / f"make_{name}_reference.py") for name in names]
     code = f"import runpy; print(*(runpy.run_path(s)['page']() for s in {scripts}), sep='\\0', end='')"
     pages = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    keys, now = pages.split("\0")
+    keys, now, python, commands = pages.split("\0")
+    assert (ROOT / "docs" / "api.md").read_text(encoding="utf-8") == python
+    assert (ROOT / "docs" / "commands.md").read_text(encoding="utf-8") == commands
     assert (ROOT / "docs" / "bench-file.md").read_text(encoding="utf-8") == keys
     assert re.findall(r"\| `(\w+)` \| [^|]* \| [^|]* \|  \|", keys) == []
     assert (ROOT / "docs" / "faults.md").read_text(encoding="utf-8") == now
