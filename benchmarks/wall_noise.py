@@ -23,8 +23,9 @@ from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.recording.runs import RecordedRun
-from hil.replay.estimator_comparison import consistency, errors, estimate
+from hil.replay.estimator_comparison import consistency, estimate
 from hil.replay.recordings import OpenedRecording, open_recording
+from hil.replay.truth_errors import errors
 
 LINES = ("x_line", "y_line")
 ROWS = {"wheels": 8, "gyro": 1, "tracker": 3}

@@ -12,9 +12,9 @@ import click
 import numpy as np
 
 from hil.cli.completion_types import BENCH
-from hil.cli.options import COUPLING, FILE, JSON, rerun_option, say_rerun_files, truth_options
+from hil.cli.options import COUPLING, FILE, JSON, FiniteRange, rerun_option, say_rerun_files, truth_options
 from hil.cli.output import error_as_json
-from hil.core.choices import COMPARED
+from hil.core.choices import ALIGNMENTS, COMPARED
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hil.replay.recordings import OpenedRecording
 
 _PATH_POINTS = 400
+_RELATIVE = (("rpe_position_m", "rpe mm", 1e3), ("rpe_theta_rad", "rpe deg", math.degrees(1.0)))
 _COLUMNS = (
     ("rmse_position_m", "rmse mm", 1e3),
     ("rmse_theta_rad", "rmse deg", math.degrees(1.0)),
@@ -68,6 +69,25 @@ _COLUMNS = (
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @truth_options
 @COUPLING
+@click.option(
+    "--align",
+    type=click.Choice(ALIGNMENTS),
+    default="none",
+    show_default=True,
+    help="Alignment of each estimate to the ground truth before its errors: the first pose (yaw and "
+    "position), or the best motion of the plane (SE(2)).",
+)
+@click.option(
+    "--rpe-over",
+    "over_m",
+    type=FiniteRange(min=0.0, min_open=True),
+    help="Show relative pose errors over this way, m [default: 0.1, in the JSON alone].",
+)
+@click.option(
+    "--trajectories",
+    type=FILE,
+    help="Folder for the truth and each estimate at the same instants, as TUM and KITTI files.",
+)
 @click.option("--page", type=FILE, help="HTML page with figures.")
 @rerun_option("Show it: spawn, connect, serve, a rerun+http:// URL or a .rrd file.")
 @JSON
@@ -81,6 +101,9 @@ def command(
     topics: Path | None,
     truth: TruthFile | None,
     coupling: Coupling | None,
+    align: str,
+    over_m: float | None,
+    trajectories: Path | None,
     page: Path | None,
     view: str | None,
     as_json: bool,
@@ -97,10 +120,12 @@ def command(
     Example: hil replay recording.mcap --page replay.html --estimator ekf --estimator mine.py:MyFilter
     """
     from hil.core.signals import sensors_with_samples
+    from hil.datasets.trajectory_files import write_trajectories
     from hil.replay.estimator_comparison import sensors_text
     from hil.replay.recordings import open_recording
+    from hil.replay.truth_errors import RELATIVE_M, paths_of
     from hil.replay.user_estimators import check_named, unknown_states, unusable_states
-    from hil.support.atomic_files import check_ending, check_file
+    from hil.support.atomic_files import check_ending, check_file, check_folder
 
     for named in estimators:
         check_named(named)
@@ -110,11 +135,14 @@ def command(
     opened = open_recording(
         recording, bench=bench, calibration=calibration, topics=topics, truth=truth, coupling=coupling
     )
+    if trajectories is not None:
+        check_folder(trajectories)
     result: dict[str, Any] = {"recording": str(recording)}
     unshown = ""
     if verify:
-        if view is not None or estimators or calibration is not None:
-            raise UsageError("--verify cannot go with --estimator, --calibration or --rerun")
+        others = (view, calibration, trajectories)
+        if estimators or any(one is not None for one in others):
+            raise UsageError("--verify cannot go with --estimator, --calibration, --trajectories or --rerun")
         result |= _verified(opened, number)
         result["problems"] = opened.problems
         if page is not None:
@@ -125,21 +153,24 @@ def command(
         run = max(runs, key=lambda r: len(r.records))
         sensors = sensors_with_samples(r.measurements for r in run.records)
         result["sensors"], result["note"] = sensors, sensors_text(opened.bench, sensors)
-        slip = opened.slip
+        slip, over = opened.slip, over_m or RELATIVE_M
         result |= {} if slip is None else {"slip": slip.to_json()}
-        motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
+        motions, result["estimators"] = _compared(opened, run, estimators or COMPARED, align, over)
+        result |= {"align": align, "rpe_over_m": over}
         unknown = (line for name in estimators for line in unknown_states(name, motions[name]))
         result["warnings"] = [*opened.warnings(), *unknown]
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
         unusable = (line for name in estimators for line in unusable_states(name, motions[name]))
         result["problems"] = [*opened.problems, *opened.contradicted, *unusable]
+        if trajectories is not None:
+            result["trajectories"] = list(map(str, write_trajectories(trajectories, *paths_of(motions))))
         unshown = _show(opened.bench, run, motions, view)
         if page is not None:
             _write(result, lambda: _write_page(page, opened, motions, result))
     for problem in result["problems"]:
         click.echo(f"hil: {recording}: {problem}", err=True)
-    click.echo(json.dumps(result) if as_json else _text(result))
+    click.echo(json.dumps(result) if as_json else _text(result, () if over_m is None else _RELATIVE))
     if result["problems"] or unshown or "error" in result:
         return EXIT_USAGE
     return EXIT_LIMIT_FAILED if result.get("verdict") == "differs" else EXIT_PASS
@@ -164,7 +195,7 @@ def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
 
 
 def _compared(
-    opened: OpenedRecording, run: RecordedRun, named: tuple[str, ...]
+    opened: OpenedRecording, run: RecordedRun, named: tuple[str, ...], align: str, over_m: float
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
     from hil.replay.estimator_comparison import compare_run, table
     from hil.replay.user_estimators import make_own
@@ -174,7 +205,7 @@ def _compared(
     motions = compare_run(
         run, opened.bench, kinds, own=own, source=str(opened.path), recorded=not opened.foreign
     )
-    return motions, table(motions)
+    return motions, table(motions, align, over_m)
 
 
 def _write_page(
@@ -220,16 +251,17 @@ def _show(bench: BenchModel, run: RecordedRun, motions: dict[str, Motion], view:
     return monitor.failure
 
 
-def _text(result: dict[str, Any]) -> str:
+def _text(result: dict[str, Any], more: tuple[tuple[str, str, float], ...]) -> str:
     from hil.support.file_reading import printable
 
     if "verdict" in result:
         return _verification_text(result)
-    head = " ".join(f"{title:>9}" for _, title, _ in _COLUMNS)
+    columns = (*_COLUMNS, *more)
+    head = " ".join(f"{title:>9}" for _, title, _ in columns)
     width = max(12, *map(len, result["estimators"]))
     lines = [f"{'estimator':{width}} {head}"]
     for name, e in result["estimators"].items():
-        cells = (("-" if e[key] is None else f"{e[key] * factor:.3f}") for key, _, factor in _COLUMNS)
+        cells = (("-" if e[key] is None else f"{e[key] * factor:.3f}") for key, _, factor in columns)
         lines.append(f"{printable(name):{width}} " + " ".join(f"{cell:>9}" for cell in cells))
     lines.append(result["note"])
     if slip := result.get("slip"):

@@ -14,6 +14,8 @@ ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 """Estimators that can run in the loop."""
 COMPARED = (*ESTIMATORS, "smoother")
 """Estimators that can process a recording afterwards."""
+ALIGNMENTS = ("none", "origin", "se2")
+"""Alignments of an estimate to the truth: none, by the first pose (yaw and position), least squares."""
 LawName = Literal["nonlinear", "optimal"]
 LAWS: tuple[LawName, ...] = get_args(LawName)
 """Control laws: the authors', and the time-varying LQR."""

@@ -1,8 +1,8 @@
 """Other estimators on a recording: error against motion capture, and consistency (NEES).
 
-`compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
-compare them with motion capture (`truth_of`) and with their own covariances; `fitting` chooses the filters by
-the sensors that sent data.
+`compare` runs estimators, `smoothed` the smoother on the recorded measurements; `table` compares them with
+motion capture (`hil.replay.truth_errors`, `truth_of`) and with their own covariances (`consistency`);
+`fitting` chooses the filters by the sensors that sent data.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 from hil.bench.model import BenchModel
 from hil.config.estimator import EstimatorConfig
 from hil.core.choices import COMPARED, ESTIMATORS
-from hil.core.clock import NS_PER_S
 from hil.core.errors import DataError
 from hil.core.geometry import Array, wrap_array
 from hil.core.interfaces import Estimator
@@ -25,11 +24,11 @@ from hil.core.package_errors import of_a_script
 from hil.core.signals import CycleRecord, RobotState, sensors_with_samples
 from hil.datasets.sampling import beside_rows, is_slow
 from hil.estimator.consistency import autocorrelation, nees
-from hil.loop.driven_motion import HELD_S, Motion
+from hil.loop.driven_motion import Motion
 from hil.loop.user_parts import checked_update, reset_estimator
 from hil.recording.runs import RecordedRun
+from hil.replay.truth_errors import RELATIVE_M, errors, samples_of
 from hil.robot.kinematics import WheelGeometry
-from hil.robot.odometry import displacements, sample_path
 
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
 """Names of sensors by their fields of `Measurements`."""
@@ -171,13 +170,21 @@ def _nothing(t_ns: int) -> RobotState:
     return RobotState(t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
 
 
-def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
-    """`errors` and `consistency` of motions of one run by name; None for a missing figure."""
+def table(
+    motions: Mapping[str, Motion], align: str = "none", over_m: float = RELATIVE_M
+) -> dict[str, dict[str, float | None]]:
+    """`errors` and `consistency` of motions of one run by name; None for a missing figure.
+
+    Args:
+        motions: motions by name.
+        align: alignment of each estimate, one of `hil.core.choices.ALIGNMENTS`.
+        over_m: way over which relative pose errors are taken, m.
+    """
     truth = truth_of(next(iter(motions.values()))) if motions else None
     return {
         name: {
             key: value if math.isfinite(value) else None
-            for key, value in (errors(motion) | consistency(motion, truth)).items()
+            for key, value in (errors(motion, align, over_m) | consistency(motion, truth)).items()
         }
         for name, motion in motions.items()
     }
@@ -189,7 +196,7 @@ def truth_of(motion: Motion) -> Array:
     The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: for a driving
     robot it is out of date. Slow samples count only for the nearest cycle each.
     """
-    at_s, poses = _samples(motion)
+    at_s, poses = samples_of(motion)
     if not len(at_s):
         return motion.mocap
     if is_slow(at_s):
@@ -203,15 +210,6 @@ def truth_of(motion: Motion) -> Array:
     at_rest = (turned <= REST_RAD_S * (REST_S + held_s)[:, None]).all(axis=1)
     truth[since:][(held_s > 0.0) & ~at_rest] = np.nan
     return truth
-
-
-def _samples(motion: Motion) -> tuple[Array, Array]:
-    """Valid samples of motion capture: s since the first cycle (m,) and poses (m, 3), in order of time."""
-    found = [m for r in motion.records for m in r.measurements.mocap if m.valid]
-    begin_ns = motion.records[0].inputs.t_ns if motion.records else 0
-    at_s = np.array([(m.stamp.t_ns - begin_ns) / NS_PER_S for m in found], dtype=np.float64)
-    order = np.argsort(at_s, kind="stable")
-    return at_s[order], np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)[order]
 
 
 def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
@@ -245,38 +243,6 @@ def _mean_nis(figures: Mapping[str, float], name: str) -> float:
     """Mean NIS; NaN if no sample was ever compared, because the mean then has its initial, ideal value."""
     mean, latest = figures.get(f"nis_mean_{name}", np.nan), figures.get(f"nis_{name}", 0.0)
     return float("nan") if mean == 1.0 and latest == 0.0 else float(mean)
-
-
-def errors(motion: Motion) -> dict[str, float]:
-    """Errors against motion capture at its own samples, as `hil evaluate` has them; NaN without it.
-
-    Between two cycles the estimate is extrapolated with constant twist. The error at the end is that of the
-    last sample; NaN if that sample lies `HELD_S`, and more than two sample intervals, before the end.
-
-    Returns:
-        `rmse_position_m`, `rmse_theta_rad`, `final_position_m`, `max_position_m`.
-    """
-    at_s, poses = _samples(motion)
-    cycles_s, estimate = motion.t_s, motion.estimate
-    inside = (at_s >= 0.0) & (at_s <= cycles_s[-1]) if len(cycles_s) > 1 else at_s < at_s
-    at_s, poses = at_s[inside], poses[inside]
-    difference = np.empty((0, 3))
-    if len(at_s):
-        difference = sample_path(at_s, cycles_s, estimate, displacements(estimate)) - poses
-    known = np.flatnonzero(np.isfinite(difference).all(axis=1))
-    if not len(known):
-        return dict.fromkeys(
-            ("rmse_position_m", "rmse_theta_rad", "final_position_m", "max_position_m"), np.nan
-        )
-    distance_m: Array = np.hypot(difference[known, 0], difference[known, 1])
-    apart_s = float(np.median(np.diff(at_s))) if len(at_s) > 1 else 0.0
-    saw_end = cycles_s[-1] - at_s[known[-1]] < max(HELD_S, 2.0 * apart_s)
-    return {
-        "rmse_position_m": float(np.sqrt(np.mean(distance_m**2))),
-        "rmse_theta_rad": float(np.sqrt(np.mean(wrap_array(difference[known, 2]) ** 2))),
-        "final_position_m": float(distance_m[-1]) if saw_end else np.nan,
-        "max_position_m": float(distance_m.max()),
-    }
 
 
 def compare(

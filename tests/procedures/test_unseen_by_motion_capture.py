@@ -23,7 +23,7 @@ from hil.procedures import grid_scan
 from hil.procedures.surface_identification.slip import held, slip_of
 from hil.procedures.tracker_extrinsics import disagreement_m
 from hil.procedures.tracker_extrinsics.hand_eye import Truth
-from hil.replay.estimator_comparison import errors
+from hil.replay.truth_errors import errors
 from hil.robot.trajectories import line
 from tests.patience import FANLESS
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import perfect_robot as perfect
 import pytest
+import test_trajectory_exchange as exchange
 from mcap_cases import driving_record
 from recorded import HEADER, messages
 from test_rewritten_files import told
@@ -22,6 +23,7 @@ from test_rewritten_files import told
 from hil.datasets.export import write_table
 from hil.datasets.plain_csv import read_plain
 from hil.datasets.rosbag import read_bag
+from hil.datasets.trajectory_files import write_trajectories
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 
@@ -171,6 +173,40 @@ def test_evo_reads_our_estimate_and_ground_truth(other, ours, tmp_path, monkeypa
     for name, poses in expected.items():
         (file,) = tmp_path.glob(f"*{name}*.tum")
         np.testing.assert_allclose(np.loadtxt(file)[:, 1:3], poses, atol=1e-6)
+
+
+EVO = """
+import copy, json, sys
+from evo.core import metrics
+from evo.tools.file_interface import read_kitti_poses_file, read_tum_trajectory_file
+
+folder, path = sys.argv[1], metrics.PoseRelation.translation_part
+turn = metrics.PoseRelation.rotation_angle_rad
+for read, kind in ((read_tum_trajectory_file, "tum"), (read_kitti_poses_file, "kitti")):
+    truth, own = (read(f"{folder}/{name}.{kind}") for name in ("truth", "estimate"))
+    found = {}
+    for how in ("none", "origin", "se2"):
+        moved = copy.deepcopy(own)
+        if how != "none":
+            {"origin": moved.align_origin, "se2": moved.align}[how](truth)
+        figures = [metrics.APE(path), metrics.APE(turn)]
+        over = dict(delta=0.1, delta_unit=metrics.Unit.meters, pairs_from_reference=True)
+        figures += [metrics.RPE(path, **over), metrics.RPE(turn, **over)]
+        for one in figures:
+            one.process_data((truth, moved))
+        found[how] = [one.get_statistic(metrics.StatisticsType.rmse) for one in figures]
+    print(json.dumps(found))
+"""
+
+
+def test_evo_finds_the_figures_that_are_kept(other, tmp_path):
+    """From TUM and from KITTI files; the figures that the tests of the bench compare with."""
+    truth, estimate = exchange.figures()
+    write_trajectories(tmp_path, exchange.T_S, {"truth": truth, "estimate": estimate})
+    (tmp_path / "evo_figures.py").write_text(EVO)
+    for line in other("python", tmp_path / "evo_figures.py", tmp_path).splitlines():
+        for how, figures in json.loads(line).items():
+            assert figures == pytest.approx(exchange.EVO_1_38_1[how], rel=1e-5)
 
 
 TABLES = """

@@ -17,8 +17,9 @@ from hil.core.signals import RobotState
 from hil.datasets.topic_map import read_topic_map
 from hil.datasets.twist_rows import wheels_of_twist
 from hil.recording.runs import START_COVARIANCE, RecordedRun, RunStart
-from hil.replay.estimator_comparison import compare_run, errors
+from hil.replay.estimator_comparison import compare_run
 from hil.replay.recordings import open_recording
+from hil.replay.truth_errors import errors
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.robot.trajectories import line
 
