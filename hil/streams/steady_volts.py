@@ -6,11 +6,11 @@ import math
 
 from hil.robot.motor_cross_checks import far
 
-_LEAP_SHARE = 0.2
+_LEAP_SHARE = 0.05
 
 
 class SteadyVolts:
-    """A voltage that changes by more than a fifth only once two reports in a row say so."""
+    """A voltage that changes by more than a twentieth only once two reports in a row say so."""
 
     def __init__(self) -> None:
         self._believed_v = self._candidate_v = math.nan

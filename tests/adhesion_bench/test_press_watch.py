@@ -76,6 +76,9 @@ def test_enough_is_what_the_robot_needs_by_everybody_who_measures():
     assert f"{ALONE_N:.1f} N are needed (1.5 times" in press.doubt(fan=0.98 * ALONE_N)
     assert press.doubt(fan=1.02 * ALONE_N) == ""
     assert press.watch.basis(press._ns())[:2] == ("fan's speed", False)
+    assert press.doubt(fan=1.02 * NEED_N, cells=1.02 * NEED_N), (
+        "no fan changes its speed so within one report"
+    )
     assert press.doubt(fan=1.02 * NEED_N, cells=1.02 * NEED_N) == ""
     assert press.watch.basis(press._ns())[1] is True
     assert f"{NEED_N:.1f} N are needed" in press.doubt(fan=1.02 * NEED_N, cells=0.98 * NEED_N)

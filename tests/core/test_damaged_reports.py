@@ -5,16 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import hil
 from hil.core.signals import Status
 from hil.loop.checks.damaged_reports import DamagedReports
 from hil.loop.cycle_data import Cycle
+from hil.robot.trajectories import line
 
 RNG = np.random.default_rng(3)
 
 
 def fan(speed_rpm=30000.0, fet_c=40.0, input_v=22.8):
     return SimpleNamespace(
-        status=Status.OK, speed_rpm=speed_rpm, fet_c=fet_c, motor_c=np.nan, input_v=input_v
+        status=Status.OK, speed_rpm=speed_rpm, fet_c=fet_c, motor_c=np.nan, input_v=input_v, duty=0.8
     )
 
 
@@ -61,3 +63,26 @@ def test_what_happens_to_a_fan_is_no_damaged_message():
         assert (events, list(cycle.stops)) == ([], ["battery_low"])
     _, cycle = told(steady())
     assert not cycle.stops, "it stops nothing by itself"
+
+
+@pytest.mark.parametrize(
+    ("seed", "share", "overrides"),
+    [
+        (8011, 0.1, {}),
+        (8420, 0.5, {}),
+        (8411, 0.3, {"load_cells": None}),
+        (8412, 0.3, {"emulation.plant": "mujoco"}),
+    ],
+)
+def test_a_wire_that_damages_the_fans_reports_stops_nothing_and_is_named(seed, share, overrides):
+    named = []
+    fault = f"adhesion:corrupt@1.5,probability={share}"
+    keys = {"exit.look_after_s": 1.0, **overrides}
+    with hil.open_bench("emulated", seed=seed, overrides=keys, faults=[fault]) as bench:
+        bench.drive(
+            line((0, 0, 0), (0.2, 0, 0), duration_s=4.0),
+            feedback="ekf",
+            on_cycle=lambda record: named.extend(e.message for e in record.events if e.source == "adhesion"),
+        )
+    assert any("wire" in message for message in named)
+    assert bench.held.state == "HELD"

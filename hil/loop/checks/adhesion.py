@@ -24,6 +24,9 @@ _FALLING_N_S = -3.0
 _AHEAD_S = 0.5
 """A force that will be below its limit within this time (s) stops the robot: wheels take 0.15 s to stop."""
 _DISAGREE_NS = nanoseconds(0.25)
+_LASTS_NS = nanoseconds(0.5)
+"""Time for which a low battery or a hot controller is reported before the stop: five messages of VESCs that
+report them ten times a second, as one may be damaged."""
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
 _WEAK_PUSH = 0.85
 """Share of the commanded push below which the message of a stop mentions the propellers."""
@@ -82,6 +85,8 @@ class AdhesionWatch(Check):
         self._believed = Believed(math.nan)
         self._split = False
         self._fan: AdhesionSample | None = None
+        self._good_volts_ns: int | None = None
+        self._cool_ns: int | None = None
 
     def on_samples(self, cycle: Cycle) -> None:
         """Check fan, propellers and load cells; adds their figures to the robot's state."""
@@ -335,15 +340,19 @@ class AdhesionWatch(Check):
         stop("thrust_disagree", message)
 
     def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: ReportStop) -> None:
-        """Check battery voltage and controller temperature of the fan."""
-        limits = self.limits
-        if fan.input_v < limits.low_input_v:
+        """Check battery voltage and controller temperature of the fan, which count once they last."""
+        limits, t_ns = self.limits, fan.stamp.t_ns
+        if self._good_volts_ns is None or not fan.input_v < limits.low_input_v:
+            self._good_volts_ns = t_ns
+        if self._cool_ns is None or not fan.fet_c > limits.hot_fet_c:
+            self._cool_ns = t_ns
+        if t_ns - self._good_volts_ns >= _LASTS_NS:
             stop(
                 "battery_low",
                 f"the fan's battery has {fan.input_v:.1f} V under load, less than {limits.low_input_v:g}: "
                 f"{self._left(force_n)}; bring the robot down",
             )
-        if fan.fet_c > limits.hot_fet_c:
+        if t_ns - self._cool_ns >= _LASTS_NS:
             stop(
                 "fan_hot",
                 f"the fan's controller is at {fan.fet_c:.0f} degC, more than {limits.hot_fet_c:g}: it will "

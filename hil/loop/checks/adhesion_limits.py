@@ -9,11 +9,20 @@ from typing import NamedTuple
 
 from hil.core.signals import AdhesionSample, LoadCellSample, Status, ThrustSample
 from hil.robot.believed_force import UNCONFIRMED, Believed, believe
-from hil.robot.motor_cross_checks import MotorRatings, Reading, Steadiness, cross_check, forces_n
+from hil.robot.motor_cross_checks import (
+    MotorRatings,
+    Reading,
+    Steadiness,
+    cross_check,
+    forces_n,
+    speed_by_voltage_rpm,
+)
 from hil.robot.statics import Statics
 
 _EXCESS_SHARE, _LEAST_EXCESS = 0.15, 0.02
 """Tolerated excess of the propellers' push: as a share of the commanded push, at least of full push."""
+_JUMP = 0.1
+"""Share of the rated speed by which it differs from the report before in no report of a fan."""
 
 
 class SlidePush(NamedTuple):
@@ -125,6 +134,25 @@ def reading(sample: AdhesionSample) -> Reading:
     return Reading(sample.speed_rpm, sample.duty, sample.input_v, sample.motor_a, sample.input_a)
 
 
+class _Jumps:
+    """Tells single values that jump from changes that last."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, ...] | None = None
+        self._doubted: tuple[float, ...] = ()
+
+    def jumped(self, values: tuple[float, ...]) -> bool:
+        """Whether a value differs from the one taken last, and the one before did not do so likewise."""
+        if self._last is not None:
+            seen = zip(values, self._last, self._doubted, strict=True)
+            steps = [(now - a, before - a) for now, a, before in seen]
+            self._doubted = values
+            if any(abs(now) > _JUMP and abs(now - before) > 0.5 * abs(now) for now, before in steps):
+                return True
+        self._last = self._doubted = values
+        return False
+
+
 class FanForces:
     """Forces by the reports of a fan's controller, and what they say about each other.
 
@@ -140,15 +168,23 @@ class FanForces:
     def __init__(self, fan: MotorRatings | None) -> None:
         self._fan = fan
         self._steady = None if fan is None else Steadiness(fan)
+        self._jumps = _Jumps()
         self.forces_n: dict[str, float] = {}
         self.contradiction = self.impossible = ""
 
     def take(self, sample: AdhesionSample) -> bool:
-        """Take a sample; whether it gives a force: one beyond a bound does by duty and voltage alone."""
+        """Take a sample; whether it gives a force: one beyond a bound does by duty and voltage alone.
+
+        One that jumps as nothing real does is taken only if the one before did likewise: a message that was
+        damaged on the wire is no reason to stop.
+        """
         beyond = sample.status is Status.IMPLAUSIBLE and math.isfinite(sample.duty)
         if self._fan is None or self._steady is None or not (sample.status is Status.OK or beyond):
             return False
         now = reading(sample)
+        speeds_rpm = (now.speed_rpm, speed_by_voltage_rpm(self._fan, now))
+        if self._jumps.jumped(tuple(rpm / self._fan.rated_rpm for rpm in speeds_rpm)):
+            return False
         steady = self._steady.follow(sample.stamp.t_ns, now)
         self.forces_n = forces_n(self._fan, now, steady=steady)
         self.impossible = sample.trouble if beyond else ""

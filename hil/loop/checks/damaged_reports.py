@@ -7,26 +7,40 @@ messages have no checksum of their own need this. Deterministic: depends only on
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.core.signals import Event, Status, worst
+from hil.core.signals import AdhesionSample, Event, Status, worst
 from hil.loop.cycle_data import Check, Cycle
 
+
+def _speed_rpm(sample: AdhesionSample) -> float:
+    """Reported speed; infinite where it was beyond a physical bound."""
+    return math.inf if sample.status is Status.IMPLAUSIBLE else sample.speed_rpm
+
+
 _VALUES: Mapping[str, Callable[[Any], tuple[float, ...]]] = {
-    "adhesion": lambda sample: (sample.speed_rpm, sample.fet_c, sample.motor_c, sample.input_v),
+    "adhesion": lambda sample: (
+        _speed_rpm(sample),
+        sample.fet_c,
+        sample.motor_c,
+        sample.input_v,
+        sample.duty,
+    ),
     "load_cells": lambda sample: (float(sample.force_n.sum()),),
 }
 """Values of the samples of a kind that change slowly, or come back slowly."""
 _SLOW = {"adhesion": 3, "load_cells": 0}
 """Number of these values that cannot step at all: speed and temperatures."""
+_REPORTS = (Status.OK, Status.IMPLAUSIBLE)
 _SPIKE, _SAME = 0.2, 0.05
 """A spike differs from both neighbours by more than the first share of them, and they from each other by less
 than the second.
 """
-_WITHIN_NS, _FEWEST = nanoseconds(2.0), 3
+_WITHIN_NS, _FEWEST = nanoseconds(5.0), 3
 """A warning is given for so many spikes within this time."""
 
 
@@ -48,7 +62,7 @@ class DamagedReports(Check):
         for name, values_of in _VALUES.items():
             last, spikes = self._last[name], self._spikes[name]
             for sample in cycle.inputs.of(name):
-                if worst(sample) is Status.OK:
+                if worst(sample) in _REPORTS:
                     last.append(values_of(sample))
                     if len(last) == 3 and _is_spike(*last):
                         spikes.append(t_ns)
@@ -59,7 +73,9 @@ class DamagedReports(Check):
                 cycle.events.append(Event(t_ns, "warning", name, _text(len(recent), span_s)))
             jumps = len(last) > 1 and _is_step(last[-2][: _SLOW[name]], last[-1])
             if cycle.stops and (recent or jumps):
-                cycle.stop("damaged_reports", f"{name}: {_text(len(recent) + jumps, 2.0)}", [name])
+                cycle.stop(
+                    "damaged_reports", f"{name}: {_text(len(recent) + jumps, _WITHIN_NS / NS_PER_S)}", [name]
+                )
 
 
 def _text(count: int, within_s: float) -> str:
