@@ -48,8 +48,8 @@ def odd_wheels(recordings: Sequence[Recording], geometry: WheelGeometry) -> list
         recordings: recordings of one robot.
         geometry: wheels that the ways are computed for.
     """
-    ways = [_ways(one, geometry) for one in recordings]
-    rolled, moved = (np.concatenate([pair[k] for pair in ways]) for k in (0, 1))
+    pairs = [ways(one, geometry) for one in recordings]
+    rolled, moved = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
     share = missed(rolled, moved)
     odd = np.flatnonzero(share > _ODD).tolist()
     if not 0 < len(odd) <= _MOST or np.count_nonzero(share < _AGREES) + len(odd) < len(WHEELS):
@@ -67,7 +67,8 @@ def odd_wheels(recordings: Sequence[Recording], geometry: WheelGeometry) -> list
     ]
 
 
-def _ways(one: Recording, geometry: WheelGeometry) -> tuple[Complexes, Complexes]:
+def ways(one: Recording, geometry: WheelGeometry) -> tuple[Complexes, Complexes]:
+    """Ways (s, 4), m, of each wheel in stretches in which they roll: by its angles, and by ground truth."""
     drive = Drive(one.t_s, one.wheel_angle_rad, one.steering_rad, one.truth_t_s, one.truth_pose)
     edges_s = drive.edges_s()
     rolled = by_wheels(drive, edges_s, geometry)

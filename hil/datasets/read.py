@@ -12,6 +12,7 @@ from hil.core.errors import ConfigError, DataError, UsageError
 from hil.core.wrong_path_hint import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
 from hil.datasets.azimuth_coupling import Coupling, decoupled
+from hil.datasets.changed_wheels import with_changed_wheels
 from hil.datasets.copies import without_copies
 from hil.datasets.dataset import Recording
 from hil.datasets.drive_coverage import covered
@@ -153,7 +154,7 @@ def read_recordings(
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = corrected(decoupled(named_apart(without_copies(out)), robot.geometry, coupling))
     check_signs(out, robot, of_all=unusable is not None)
-    return out
+    return with_changed_wheels(out, robot.geometry)
 
 
 Parts = tuple[Recording, ...]

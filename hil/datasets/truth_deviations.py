@@ -56,7 +56,7 @@ def beyond_alone(fit: TruthFit, typical_scale: float) -> tuple[str, ...]:
         typical_scale: distance by ground truth over distance by wheels in most recordings of its set.
     """
     out, off = [], fit.scale - typical_scale
-    if _clear(fit.skew, fit.skew_std, _SKEW_ALONE, _SKEW_STD):
+    if _clear(fit.skew, 2.0 * fit.skew_std, _SKEW_ALONE, _SKEW_STD):  # slip is a skew where a path bends once
         out.append(
             f"lengths in its ground truth depend on their direction, by {200 * abs(fit.skew):.1f} %: one "
             "axis has another scale, or the axes are not at right angles"
