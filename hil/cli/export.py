@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import FILE, JSON, OUT
+from hil.cli.options import FILE, JSON, OUT, TOPICS
 from hil.core.errors import EXIT_PASS, EXIT_USAGE, DataError
 
 
@@ -15,7 +15,7 @@ from hil.core.errors import EXIT_PASS, EXIT_USAGE, DataError
 @click.argument("recording", type=FILE)
 @click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), help="Default: by --out, else csv.")
 @click.option("--out", type=OUT, help="File to write [default: beside RECORDING].")
-@click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
+@TOPICS
 @JSON
 def command(recording: Path, kind: str | None, out: Path | None, topics: Path | None, as_json: bool) -> int:
     """Write one row per wheel sample; a damaged recording gives what it has and exit code 2.
@@ -37,10 +37,10 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
         records = list(read_cycles(recording, problems))
     else:
         from hil.datasets.as_cycles import to_cycles
-        from hil.datasets.rosbag import read_bag
+        from hil.datasets.mapped_recordings import read_mapped
         from hil.datasets.topic_map import read_topic_map
 
-        found = read_bag(recording, read_topic_map(topics))
+        found = read_mapped(recording, read_topic_map(topics))
         if found.later:
             raise DataError(
                 str(recording),

@@ -81,7 +81,9 @@ FILE = FileName(path_type=Path)
 """Type of arguments and options that name a file or a folder."""
 OUT = _Place(path_type=Path)
 """Type of `--out`."""
-TOPICS = click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
+TOPICS = click.option(
+    "--topics", type=FILE, help="Topics of another robot's bags, or columns of its CSV files (TOML)."
+)
 
 
 def truth_options(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -12,7 +12,16 @@ import click
 import numpy as np
 
 from hil.cli.completion_types import BENCH
-from hil.cli.options import COUPLING, FILE, JSON, FiniteRange, rerun_option, say_rerun_files, truth_options
+from hil.cli.options import (
+    COUPLING,
+    FILE,
+    JSON,
+    TOPICS,
+    FiniteRange,
+    rerun_option,
+    say_rerun_files,
+    truth_options,
+)
 from hil.cli.output import error_as_json
 from hil.core.choices import ALIGNMENTS, COMPARED
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
@@ -66,7 +75,7 @@ _COLUMNS = (
     "--bench", type=BENCH, help="Bench file or profile, for recordings that do not carry their own."
 )
 @click.option("--calibration", type=FILE, help="calibration.toml for the estimators.")
-@click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
+@TOPICS
 @truth_options
 @COUPLING
 @click.option(

@@ -212,7 +212,6 @@ def _read(
     from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usability_check import check_not_failed
     from hil.datasets.dataset import Recording
-    from hil.datasets.rosbag import is_bag
     from hil.datasets.truth_correction import notes_of
     from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest
     from hil.estimator.tuning import TruthRun
@@ -222,9 +221,8 @@ def _read(
 
     config, runs, tables, geometry = None, [], list[Recording](), None
     for path in (job.files[0] for job in jobs):
-        mapping = topics if is_bag(path) else None
         opened = open_recording(
-            path, bench=bench, calibration=calibration, topics=mapping, truth=truth, coupling=coupling
+            path, bench=bench, calibration=calibration, topics=topics, truth=truth, coupling=coupling
         )
         if calibration is not None:
             check_not_failed(read_calibration(calibration), opened.bench.config, str(calibration))

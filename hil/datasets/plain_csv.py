@@ -17,6 +17,7 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
+from hil.datasets.column_map import ColumnMap, read_columns
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
@@ -38,22 +39,34 @@ TRUTH_GAP_S = 0.1
 """Longest time between two samples of ground truth across which it is interpolated."""
 
 
-def read_plain(path: Path, nominal: Nominal | None = None, truth: TruthFile | None = None) -> Recording:
+def read_plain(
+    path: Path, nominal: Nominal | None = None, truth: TruthFile | None = None, named: ColumnMap | None = None
+) -> Recording:
     """Read one run; `nominal` is the CAD model by default.
 
     Ground truth in a file of its own takes the place of the columns x, y and theta, if there are any.
+
+    Args:
+        path: the file.
+        nominal: robot that it is read for.
+        truth: ground truth in a file of its own.
+        named: columns and units of another program's file; without ground truth in them, and in a file of its
+            own, the recording has none.
 
     Raises:
         DataError: missing or duplicate columns, damaged file, no usable rows.
     """
     data = read_bytes(path)
     refuse_truth_alone(path, data)
-    columns, table = _read_table(path, data, truth is not None)
+    columns, table = (
+        _read_table(path, data, truth is not None) if named is None else read_columns(path, data, named)
+    )
     lacking = dict[str, int]()
     columns, table = _with_wheels(columns, table, lacking)
     rates = RATE_COLUMNS if all(c in columns for c in RATE_COLUMNS) else ()
     wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *rates)]
-    places = [columns.index(c) for c in TRUTH_COLUMNS] if truth is None else []
+    own_truth = truth is None and (named is None or named.has_truth)
+    places = [columns.index(c) for c in TRUTH_COLUMNS] if own_truth else []
     t_s = table[:, columns.index("t")]
     for sensor in (wheels[:4], wheels[4:8], wheels[8:], places):
         hold_unchanged(t_s, table, sensor, lacking)
@@ -70,13 +83,19 @@ def read_plain(path: Path, nominal: Nominal | None = None, truth: TruthFile | No
     return build_recording(
         stem,
         log,
-        poses,
+        poses if own_truth or truth is not None else None,
         motion=motion_of(stem),
         sources=tuple(sources),
         sha256=tuple(digests),
         nominal=nominal,
         repairs=lacking,
     )
+
+
+def has_own_columns(path: Path) -> bool:
+    """Whether the first line of a file holds the steering columns of plain CSV."""
+    header = read_bytes(path).partition(b"\n")[0].decode("utf-8-sig", "replace")
+    return set(WHEEL_COLUMNS[4:]) <= {name.strip().strip('"') for name in header.split(",")}
 
 
 def _read_table(path: Path, data: bytes, truth_elsewhere: bool) -> tuple[list[str], Array]:

@@ -16,6 +16,7 @@ from hil.datasets.changed_wheels import with_changed_wheels
 from hil.datasets.copies import without_copies
 from hil.datasets.dataset import Recording
 from hil.datasets.drive_coverage import covered
+from hil.datasets.mapped_recordings import PUBLIC, read_mapped
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
 from hil.datasets.topic_map import TopicMap, read_topic_map
@@ -74,10 +75,10 @@ def find_recordings(
         UsageError: a path is not a possible file name.
     """
     mapping = None if topics is None else read_topic_map(topics)
-    if mapping is not None and mapping.truth is None:
+    if mapping is not None and truth is None and not mapping.has_truth:
         raise ConfigError(
             f"{topics}: has no [truth], and without ground truth nothing can be compared",
-            expected="the topic of the robot's true poses",
+            expected="the topic of the robot's true poses, or x, y and theta in [columns]",
             remedy="add it, or use `hil replay`, which does without",
         )
     jobs: list[Job] = []
@@ -213,6 +214,8 @@ def _folder(
         tables = {f for f in tables if f.resolve() != truth.path.resolve()}
     own = folder.glob("*.mcap") if mapping is None else ()
     foreign = bags if mapping is not None else [b for b in bags if b.suffix != ".mcap"]
+    if mapping is not None and pairs:
+        raise UsageError(f"{pairs[0][0]}: {PUBLIC}")
     jobs = [_pair(odom, absolute, nominal, (odom, absolute)) for odom, absolute in pairs]
     jobs += [_file(f, mapping, nominal, truth) for f in sorted([*tables, *own])]
     if foreign and mapping is None:
@@ -226,7 +229,7 @@ def _folder(
 def _bag(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
     if mapping is None:
         raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
-    return _one_job(path, lambda: rosbag.read_bag(path, mapping, nominal))
+    return _one_job(path, lambda: read_mapped(path, mapping, nominal))
 
 
 def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
@@ -259,9 +262,7 @@ def _one_file(
 def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None, truth: TruthFile | None) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist", expected="a recording, or a folder of them")
-    if truth is not None and (
-        mapping is not None or path.suffix in _WITH_TRUTH or public_csv.is_pair_file(path)
-    ):
+    if truth is not None and (path.suffix in _WITH_TRUTH or public_csv.is_pair_file(path)):
         raise UsageError(
             f"{path} holds its ground truth itself, or names it in --topics",
             expected="wheel logs as plain CSV beside --truth",
@@ -279,6 +280,8 @@ def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None, truth: 
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap" and mapping is not None:
         return _bag(path, mapping, nominal)
+    if mapping is not None:
+        return _one_job(path, lambda: read_mapped(path, mapping, nominal, truth))
     if path.suffix == ".mcap":
         return _one_job(path, lambda: _whole_or_not(path, nominal))
     if public_csv.is_pair_file(path):

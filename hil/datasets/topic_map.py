@@ -29,6 +29,8 @@
     mount_rotation_wxyz = [1.0, 0.0, 0.0, 0.0]
     scale = 1.0
     latency_s = 0.0
+
+For CSV files the table `[columns]` takes the place of all others, see `hil.datasets.column_map`.
 """
 
 from __future__ import annotations
@@ -37,35 +39,28 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hil.config.device import Position
 from hil.config.values import UnitQuaternion, Within
 from hil.core.errors import ConfigError
+from hil.datasets.column_map import ColumnMap, Four, Names, Signs, Table
 from hil.support.file_reading import read_toml
 
-_Names = tuple[str, str, str, str]
-_Zeros = tuple[float, float, float, float]
-_Signs = tuple[Literal[1, -1], Literal[1, -1], Literal[1, -1], Literal[1, -1]]
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class WheelTopic(_Strict):
+class WheelTopic(Table):
     """Joints of the wheels, order FL, BL, BR, FR."""
 
     topic: str
-    drive: _Names
-    steer: _Names
-    drive_sign: _Signs = (1, 1, 1, 1)
-    steer_sign: _Signs = (1, 1, 1, 1)
-    steer_zero_rad: _Zeros = (0.0, 0.0, 0.0, 0.0)
+    drive: Names
+    steer: Names
+    drive_sign: Signs = (1, 1, 1, 1)
+    steer_sign: Signs = (1, 1, 1, 1)
+    steer_zero_rad: Four = (0.0, 0.0, 0.0, 0.0)
 
     @field_validator("steer_zero_rad")
     @classmethod
-    def _in_radians(cls, zeros: _Zeros) -> _Zeros:
+    def _in_radians(cls, zeros: Four) -> Four:
         if not all(abs(zero) <= math.tau for zero in zeros):
             raise ValueError(f"{list(zeros)} goes beyond 2 pi, a whole turn: give radians, not degrees")
         return zeros
@@ -88,13 +83,13 @@ class WheelTopic(_Strict):
         return self
 
 
-class OdometryTopic(_Strict):
+class OdometryTopic(Table):
     """Twist of the body (x forward, y left, z upwards; m/s, rad/s) by the odometry of any drive train."""
 
     topic: str
 
 
-class TruthTopic(_Strict):
+class TruthTopic(Table):
     """Ground truth of a body fixed to the robot, in a frame whose up axis is normal to the surface.
 
     The keys are those of the bench file: `up_axis` as in `[mocap]`, the mount as of a camera.
@@ -111,7 +106,7 @@ class TruthTopic(_Strict):
     mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-class SensorTopic(_Strict):
+class SensorTopic(Table):
     """Topic of a sensor on the robot.
 
     Attributes:
@@ -156,10 +151,11 @@ class TrackerTopic(SensorTopic):
     scale: Annotated[float, Within(0.5, 2.0, "reported over true distance")] = 1.0
 
 
-class TopicMap(_Strict):
+class TopicMap(Table):
     """Topics of a bag: wheels, or the twist by them, ground truth, IMU and camera.
 
     Attributes:
+        columns: columns of a CSV file, in place of all topics.
         body_frame: frame of the robot in `/tf_static`: x forward, y left, origin between the wheels.
     """
 
@@ -167,9 +163,15 @@ class TopicMap(_Strict):
     body_frame: str = "base_link"
     wheels: WheelTopic | None = None
     odometry: OdometryTopic | None = None
+    columns: ColumnMap | None = None
     truth: TruthTopic | None = None
     imu: ImuTopic | None = None
     tracker: TrackerTopic | None = None
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether it names ground truth."""
+        return self.truth is not None or (self.columns is not None and self.columns.has_truth)
 
     @property
     def topics(self) -> dict[str, str]:
@@ -179,6 +181,10 @@ class TopicMap(_Strict):
 
     @model_validator(mode="after")
     def _topics_of_their_own(self) -> TopicMap:
+        if self.columns is not None:
+            if self.topics:
+                raise ValueError(f"[columns] is for CSV, {', '.join(f'[{t}]' for t in self.topics)} for bags")
+            return self
         if (self.wheels is None) == (self.odometry is None):
             how = "neither [wheels] nor [odometry]" if self.wheels is None else "[wheels] and [odometry]"
             raise ValueError(f"it has {how}: give the joints of four steered wheels, or a twist")

@@ -25,9 +25,10 @@ from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.drive_coverage import covered
+from hil.datasets.mapped_recordings import read_mapped
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
-from hil.datasets.rosbag import is_bag, read_bag
+from hil.datasets.rosbag import is_bag
 from hil.datasets.sensor_checks import sensor_contradictions
 from hil.datasets.slip_factors import SlipFactors, slip_factors
 from hil.datasets.topic_map import TopicMap, read_topic_map
@@ -251,7 +252,7 @@ def _read_foreign(
 ) -> Any:
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
-        found = read_bag(path, topics, robot)
+        found = read_mapped(path, topics, robot, truth)
         parts = [replace(part, later=()) for part in (found, *found.later)]
         if not found.has_truth:
             tables.extend(decoupled(parts, robot.geometry, coupling))
