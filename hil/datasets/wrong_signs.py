@@ -7,6 +7,7 @@ of a column explains the difference, a warning states its size.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,22 +15,17 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
-from hil.datasets.blocks import Blocks, reduce_recordings
+from hil.core.signals import WHEELS
+from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.odd_wheels import check_odd_wheels
-from hil.datasets.truth_jumps import Rows
-from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
-from hil.robot.odometry import integrate
+from hil.datasets.strides import BLOCK_S, LEAST_ROLLED_RAD, Strides
+from hil.robot.kinematics import WheelGeometry
 
-_BLOCK_S, _STRIDE, _LONGEST = 0.1, 10, 20
 _WRONG, _RIGHT = 0.6, 0.3
 _UNEXPLAINED = 0.2
-_ROLLING, _LEAST_ROLLED_RAD = 0.3, 0.05
-_PARTS = ((slice(0, 2), 0.3), (slice(2, 3), 0.1))
-"""Translation, and turning at the wheels: share of the whole way from which each is judged on its own."""
 _NAMED = 4
-_NOTHING_M = 1e-9
 CHECK_COLUMNS = (
     "look for wheels in another order, a wheel or its steering (delta) with the other sign, x and y "
     "exchanged, a heading (theta) that is not the robot's, a wrong column, unit or bench file"
@@ -41,6 +37,7 @@ LEAVE_OUT = "leave it out, or cut it there; look at what the capture system trac
 """Remedy for a recording whose ground truth no robot can have followed."""
 _CONTRADICTS = "the wheels contradict the ground truth, and would agree if {}"
 _AGAINST = -0.5
+_ORDERS = tuple(itertools.permutations(range(4)))[1:]
 _MIRRORED = np.tile([1.0, -1.0], 4)
 
 
@@ -68,6 +65,12 @@ class WrongSigns:
             if n
         )
 
+    @property
+    def worth(self) -> int:
+        """Number of recordings that the best change explains beyond those that it would spoil; 0 at least."""
+        counts = {words: int(np.count_nonzero(found)) for words, found in self.explained.items()}
+        return max(0, *(count - self.against[words] for words, count in counts.items()))
+
     def likely(self) -> list[str]:
         """Changes that explain the most recordings; empty where nothing is wrong."""
         counts = {words: np.count_nonzero(found) for words, found in self.explained.items()}
@@ -85,11 +88,27 @@ def wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> WrongSigns
 
     A recording counts if its wheels miss more than 0.6 of the true way or of the true turning, and less than
     0.3 of both with the sign changed: no geometry, slip or noise does both. It counts against a change in the
-    reverse case.
+    reverse case. Where another order of the wheels explains more recordings than any sign, orders are named.
     """
-    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), nominal.geometry)
+    strides = Strides(reduce_recordings(recordings, BLOCK_S), nominal.geometry)
     rolled, moved = strides.rolled(), strides.moved()
-    missed, changed = strides.missed(rolled, moved), _changed(strides, rolled, moved)
+    missed = strides.missed(rolled, moved)
+    signs = _judged(missed, _changed(strides, rolled, moved))
+    wrong = int(np.count_nonzero(missed > _WRONG))
+    if signs.worth >= wrong:
+        return signs
+    orders = _judged(
+        missed, {_held(one): strides.missed(strides.rolled(order=one), moved) for one in _ORDERS}
+    )
+    return orders if orders.worth > signs.worth else signs
+
+
+def _held(order: Sequence[int]) -> str:
+    return f"phi1 to phi4 and delta1 to delta4 held the wheels {', '.join(WHEELS[i] for i in order)}"
+
+
+def _judged(missed: Array, changed: Mapping[str, Array]) -> WrongSigns:
+    """What changes explain and spoil, by the shares (R,) that the wheels miss now and with each change."""
     return WrongSigns(
         {words: (missed > _WRONG) & (share < _RIGHT) for words, share in changed.items()},
         {
@@ -147,14 +166,14 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
 
 def missed_shares(recordings: Sequence[Recording], geometry: WheelGeometry) -> Array:
     """Share (R,) of the true way or turning, the larger one, that wheels of this geometry miss."""
-    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
+    strides = Strides(reduce_recordings(recordings, BLOCK_S), geometry)
     return strides.missed(strides.rolled(), strides.moved())
 
 
 def is_at_rest(wheel_angle_rad: Array) -> bool:
     """Whether no wheel turns by more than 0.05 rad, of angles (n, 4); rows with NaN do not count."""
     known = wheel_angle_rad[np.isfinite(wheel_angle_rad).all(axis=1)]
-    return len(known) > 0 and float(np.ptp(known, axis=0).max()) < _LEAST_ROLLED_RAD
+    return len(known) > 0 and float(np.ptp(known, axis=0).max()) < LEAST_ROLLED_RAD
 
 
 def without_motion(recordings: Sequence[Recording]) -> list[str]:
@@ -178,7 +197,7 @@ def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     recordings = [one for one in recordings if not one.of_twist]
     if not recordings:
         return []
-    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
+    strides = Strides(reduce_recordings(recordings, BLOCK_S), geometry)
     missed = strides.missed(strides.rolled(), strides.moved())
     found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
     if not found:
@@ -212,46 +231,7 @@ def rates_against_angles(recording: Recording) -> bool:
     return alike < _AGAINST * float(np.linalg.norm(ways) * np.linalg.norm(rates))
 
 
-class _Strides:
-    """R recordings in strides of one second (S strides): moves by the wheels, and true moves.
-
-    A stride ends at the last block of its second with known ground truth; a stride across a gap does not
-    count.
-    """
-
-    def __init__(self, blocks: Blocks, geometry: WheelGeometry) -> None:
-        self._blocks, self._geometry = blocks, geometry
-        self._ends = _ends(blocks)
-        self._poses = self._at_ends(np.concatenate([blocks.start[:, None], blocks.truth], axis=1))
-        lasts = np.diff(self._ends, axis=1)
-        counted = _rolling(blocks, self._ends) & (lasts > 0) & (lasts <= _LONGEST)
-        self._weight = counted[..., None] * np.array([1.0, 1.0, lever_m(geometry)])
-
-    def _at_ends(self, rows: Array) -> Array:
-        return np.take_along_axis(rows, self._ends[..., None], axis=1)
-
-    def rolled(self, signs: Array | float = 1.0) -> Array:
-        """Moves (R, S, 3) by nominal odometry, from wheel vectors times signs (8,)."""
-        x, y = (signs * self._blocks.wheel_rad)[..., 0::2], (signs * self._blocks.wheel_rad)[..., 1::2]
-        radius_m, zero_rad = self._geometry.radius_m, self._geometry.steering_zero_rad
-        vectors = wheel_vectors(radius_m * np.hypot(x, y), np.arctan2(y, x) - zero_rad)
-        motion = twist_of_vectors(self._geometry, vectors)
-        return _moves(self._at_ends(integrate(np.zeros(3), motion)))
-
-    def moved(self, signs: Sequence[float] = (1.0, 1.0, 1.0), order: Sequence[int] = (0, 1, 2)) -> Array:
-        """True moves (R, S, 3), with x, y and theta of the poses reordered and multiplied by signs."""
-        return _moves(self._poses[..., list(order)] * np.array(signs))
-
-    def missed(self, rolled: Array, moved: Array) -> Array:
-        """Share (R,) of the true way or turning, the larger one, that the wheels miss while they roll."""
-        return _share(self.counted(rolled), self.counted(moved))
-
-    def counted(self, moves: Array) -> Array:
-        """Moves (R, S, 3), m, while the wheels roll, else 0; turning counts at the wheels."""
-        return np.asarray(moves * self._weight, dtype=np.float64)
-
-
-def _changed(strides: _Strides, rolled: Array, moved: Array) -> dict[str, Array]:
+def _changed(strides: Strides, rolled: Array, moved: Array) -> dict[str, Array]:
     """Share (R,) that the wheels would miss for each change of a column; `rolled`, `moved`: unchanged."""
     pairs = {
         "the wheel angles (phi) had the other sign": (strides.rolled(-1.0), moved),
@@ -264,41 +244,3 @@ def _changed(strides: _Strides, rolled: Array, moved: Array) -> dict[str, Array]
         "x and y were exchanged": (rolled, strides.moved(order=(1, 0, 2))),
     }
     return {words: strides.missed(one, other) for words, (one, other) in pairs.items()}
-
-
-def _ends(blocks: Blocks) -> Rows:
-    """Edge indices (R, S + 1) at which the strides of each recording begin and end."""
-    edges = np.arange(blocks.known.shape[1] + 1)
-    known = np.pad(blocks.known, ((0, 0), (1, 0)), constant_values=True)
-    last_known = np.maximum.accumulate(np.where(known, edges, 0), axis=1)
-    return np.asarray(last_known[:, ::_STRIDE], dtype=np.int_)
-
-
-def _rolling(blocks: Blocks, ends: Rows) -> Bools:
-    """Mask (R, S) of strides in which the wheels roll; noise at rest does not count."""
-    way = np.pad(np.cumsum(blocks.wheel_rad, axis=1), ((0, 0), (1, 0), (0, 0)))
-    rolled = np.linalg.norm(np.diff(np.take_along_axis(way, ends[..., None], axis=1), axis=1), axis=2)
-    least = np.maximum(_ROLLING * rolled.mean(axis=1, keepdims=True), _LEAST_ROLLED_RAD)
-    return np.asarray(rolled > least, dtype=np.bool_)
-
-
-def _share(moves: Array, true: Array) -> Array:
-    """Share (R,) of true moves (R, S, 3), m, that other moves miss, in way or turning where these matter."""
-    missed, whole = np.zeros(len(true)), _size(true)
-    for part, worth in _PARTS:
-        way = _size(true[..., part])
-        share = _size((moves - true)[..., part]) / way
-        missed = np.maximum(missed, np.where((way > worth * whole) & (whole > _NOTHING_M), share, 0.0))
-    return missed
-
-
-def _size(moves: Array) -> Array:
-    """Sum (R,) of the lengths of moves (R, S, k)."""
-    return np.asarray(np.maximum(np.linalg.norm(moves, axis=2).sum(axis=1), _NOTHING_M), dtype=np.float64)
-
-
-def _moves(poses: Array) -> Array:
-    """Moves (R, S, 3) between consecutive poses (R, S + 1, 3), in the frame of the earlier one."""
-    x, y, turn = np.moveaxis(np.diff(poses, axis=1), -1, 0)
-    c, s = np.cos(poses[:, :-1, 2]), np.sin(poses[:, :-1, 2])
-    return np.stack([c * x + s * y, c * y - s * x, turn], axis=-1)

@@ -13,6 +13,7 @@ from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
+from hil.core.signals import WHEELS
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.wrong_signs import check_signs, contradictions
@@ -284,3 +285,21 @@ def test_a_calibration_of_contradicted_recordings_explains_nothing(good):
 def at_rest(one):
     still = {name: 0.0 * getattr(one, name) for name in ("wheel_angle_rad", "wheel_rate_rad_s", "truth_pose")}
     return replace(one, **still)
+
+
+@pytest.mark.parametrize("order", [(0, 3, 1, 2), (1, 0, 3, 2), (2, 3, 0, 1), (3, 2, 1, 0)])
+def test_another_order_of_the_wheels_is_named(order):
+    """FL, FR, BL, BR is that of most robots; with front and back exchanged only turns differ."""
+    good = make_set(hidden_robot(4), 4, ("line_x", "line_y", "circle_ccw", "rotation_cw", "arc"), 1)
+    columns = list(order)
+    spoilt = [
+        replace(
+            one,
+            wheel_angle_rad=one.wheel_angle_rad[:, columns],
+            steering_rad=one.steering_rad[:, columns],
+            wheel_rate_rad_s=one.wheel_rate_rad_s[:, columns],
+        )
+        for one in good
+    ]
+    with pytest.raises(DataError, match="held the wheels " + ", ".join(WHEELS[i] for i in order)):
+        check_signs(spoilt, Nominal())
