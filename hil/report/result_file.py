@@ -47,6 +47,9 @@ class _Held(_Part):
     state: str
     moved_m: _Number = None
     why: str = ""
+    by: str = ""
+    confirmed: bool = False
+    rests_on: list[str] = []
 
 
 class _Event(_Part):

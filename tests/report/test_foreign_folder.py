@@ -46,7 +46,7 @@ def tree(evil):
         "faults": [evil],
         "emulated": [evil],
         "git_revision": evil,
-        "held": {"state": evil, "moved_m": 0.001, "why": evil},
+        "held": {"state": evil, "moved_m": 0.001, "why": evil, "by": evil, "rests_on": [evil]},
         "error": {"type": evil, "message": evil, "step": evil},
         "teardown_errors": [{"type": evil, "message": evil, "step": evil}],
         "measurements": [
@@ -243,6 +243,8 @@ def test_no_control_character_of_a_foreign_folder_reaches_the_terminal(folder, c
         ("attachments", [{"name": "x", "path": None}]),
         ("duration_s", float("inf")),
         ("held", {"state": "HELD", "moved_m": "far"}),
+        ("held", {"state": "HELD", "confirmed": "perhaps"}),
+        ("held", {"state": "HELD", "rests_on": "thrust.full_force_n"}),
     ],
 )
 def test_a_value_of_the_wrong_kind_is_named(folder, key, value):

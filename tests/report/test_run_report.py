@@ -102,6 +102,19 @@ def test_the_page_says_everything_in_order_and_escapes_it(folder):
     assert at == sorted(at)
 
 
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_the_page_says_by_what_the_robot_is_held_and_on_which_keys_that_rests(folder, tmp_path, confirmed):
+    keys = ["adhesion.pole_pairs", "thrust.full_force_n"]
+    held = {"state": "HELD", "moved_m": 0.001, "why": "at rest", "by": "load cells", "confirmed": confirmed}
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    result = json.loads((tmp_path / "result.json").read_text())
+    (tmp_path / "result.json").write_text(json.dumps({**result, "held": {**held, "rests_on": keys}}))
+    shown = write_run_page(tmp_path).read_text()
+    assert all(f"<code>{key}</code>" in shown for key in keys)
+    assert "By the load cells" in shown
+    assert ("confirmed by nothing" in shown) is not confirmed
+
+
 def test_the_page_needs_nothing_from_outside(folder):
     text = (folder / "report.html").read_text()
     page = Page(text)
