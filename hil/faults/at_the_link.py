@@ -47,6 +47,17 @@ class LinkFaults:
         self.clock, self._world_ns = clock, world_ns
         self._messages = Messages(plan, (name,), rng, kinds, on_hit=self._count)
         self.hit: dict[str, int] = {}
+        self._first_ns, self._now_ns = plan.first_ns(name), clock.now_ns
+        self._begins_ns: int | None = None
+
+    def waiting(self) -> bool:
+        """Whether no fault of the device has begun yet."""
+        if self._begins_ns is None:
+            t_ns = self._world_ns()
+            if t_ns == 0:  # the bench is not open yet
+                return self._first_ns > 0
+            self._begins_ns = self._now_ns() + self._first_ns - t_ns
+        return self._now_ns() < self._begins_ns
 
     def acting(self) -> bool:
         """Whether a fault of the device acts now."""
@@ -59,6 +70,8 @@ class LinkFaults:
 
     def gone(self) -> bool:
         """Whether the port has failed, as that of a pulled adapter does."""
+        if self.waiting():
+            return False
         t_ns = self._world_ns()
         fault = self._plan.find(self.name, "unplug", t_ns)
         if fault is not None:
@@ -87,7 +100,7 @@ class LinkFaults:
         return bool(self._messages.copies(self._world_ns()))
 
     def _now(self) -> tuple[Fault, ...]:
-        return () if self._plan.empty else self._plan.active(self.name, self._world_ns())
+        return () if self._plan.empty or self.waiting() else self._plan.active(self.name, self._world_ns())
 
     def _count(self, fault: Fault) -> None:
         spec = describe(fault)

@@ -126,6 +126,10 @@ class FaultPlan:
         """Supported faults of every declared device name."""
         return self._supported
 
+    def first_ns(self, device: str) -> int:
+        """Return the time at which the first fault of a device begins, ns; it must have one."""
+        return min(fault.start_ns for fault in self._faults if fault.device == device)
+
     def find(self, device: str, kind: str, t_ns: int) -> Fault | None:
         """Return the active fault of this kind on this device that started last, or None.
 

@@ -48,7 +48,7 @@ def with_faults(
     Args:
         opened: port, bus or stream.
         wrapped: function that wraps it.
-        faults: faults of the device; by default those that are `present`.
+        faults: faults of the device; `present` ones by default.
     """
     found = present() if faults is None else faults
     return opened if found is None else wrapped(opened, found)
@@ -100,6 +100,7 @@ class FaultyPort:
     def __init__(self, port: Any, faults: LinkFaults) -> None:
         own = self.__dict__
         own["_port"], own["_faults"], own["_framing"] = port, faults, FRAMINGS.get(faults.framing)
+        own["_waiting"] = faults.waiting
         own["_raw"], own["_ready"] = bytearray(), bytearray()
         own["_later"], own["_rest"], own["_kept"] = HeldBack[bytes](faults), 0, True
 
@@ -115,6 +116,8 @@ class FaultyPort:
     @property
     def in_waiting(self) -> int:
         """Number of bytes that can be read at once."""
+        if self._waiting():
+            return int(self._port.in_waiting)
         self._must_be_there()
         if self._passes():
             return int(self._port.in_waiting)
@@ -123,6 +126,8 @@ class FaultyPort:
 
     def read(self, size: int = 1) -> bytes:
         """Up to `size` bytes; waits for what is missing as long as the port's timeout allows."""
+        if self._waiting():
+            return self._port.read(size)  # type: ignore[no-any-return]
         self._must_be_there()
         if self._passes():
             return bytes(self._port.read(size))
@@ -141,7 +146,8 @@ class FaultyPort:
 
     def write(self, data: bytes) -> int:
         """Send; nothing is altered."""
-        self._must_be_there()
+        if not self._waiting():
+            self._must_be_there()
         return int(self._port.write(data))
 
     def reset_input_buffer(self) -> None:
