@@ -87,7 +87,8 @@ def watching() -> tuple[Callable[[BenchConfig], Sink], ...]:
     """Makers of the sinks that report a running bench to a program that reads the progress; else none."""
     if not progress.for_a_program():
         return ()
+    from hil.bench.third_party.call_timeout import with_time_limit
     from hil.core.clock import MonotonicClock
     from hil.monitor.status_lines import StatusStream
 
-    return (partial(StatusStream, progress.tell, MonotonicClock()),)
+    return (partial(StatusStream, progress.tell, MonotonicClock(), limited=with_time_limit),)

@@ -97,6 +97,7 @@ class PageProcess:
             ("GET", "/"): lambda _: asset("console.html"),
             ("GET", "/console.js"): lambda _: asset("console.js"),
             ("GET", "/forms.js"): lambda _: asset("forms.js"),
+            ("GET", "/plots.js"): lambda _: asset("plots.js"),
             ("GET", "/style.css"): lambda _: asset("style.css"),
         }
         asked: dict[tuple[str, str], Route] = {

@@ -85,6 +85,11 @@ class Topic(NamedTuple):
     message: Callable[[Any, Any], Any]
 
 
+def by_axis(values: Array) -> Figures:
+    """Figures of a vector (3,) by axis."""
+    return dict(zip("xyz", values.tolist(), strict=True))
+
+
 class Plot(NamedTuple):
     """A plot of the monitor: its tab, title, and the entity that `DeviceKind.figures` gives it."""
 

@@ -15,7 +15,8 @@ LOG = logging.getLogger(__name__)
 Limited = Callable[[str, str, str], AbstractContextManager[None]]
 
 
-def _unlimited(kind: str, package: str, what: str) -> AbstractContextManager[None]:
+def unlimited(kind: str, package: str, what: str) -> AbstractContextManager[None]:
+    """No limit: for calls outside of a cycle."""
     return nullcontext()
 
 
@@ -31,7 +32,7 @@ class KindFigures:
             where the call is made within a cycle.
     """
 
-    def __init__(self, limited: Limited = _unlimited) -> None:
+    def __init__(self, limited: Limited = unlimited) -> None:
         self._limited, self._failed = limited, set[str]()
 
     def __call__(self, kind: DeviceKind, inputs: Inputs) -> Sequence[tuple[str, Figures]]:

@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.event_rows import EventRows, event_lines
 from hil.core.interfaces import HELD_NOTE, Sink
-from hil.core.registry import sample_names
-from hil.core.signals import CycleRecord, Status, worst
+from hil.core.kind_figures import KindFigures, Limited, unlimited
+from hil.core.package_errors import PackageError, call_in_package
+from hil.core.registry import kinds, sample_names
+from hil.core.signals import KINDS, CycleRecord, Inputs, worst
 
 _EVERY_NS = NS_PER_S // 2
+_HEALTH = "health"
+_OURS = (*KINDS, _HEALTH)
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 
@@ -28,16 +33,20 @@ class StatusStream(Sink):
         tell: function that receives `("live", figures)`, and `("held", how)` when a bench is closed.
         clock: the host's.
         config: configuration of the bench; its name, and whether its robot is real, are passed on, too.
+        limited: time limit of the figures of a device's package, as of `KindFigures`.
     """
 
-    def __init__(self, tell: Tell, clock: Clock, config: BenchConfig) -> None:
+    def __init__(self, tell: Tell, clock: Clock, config: BenchConfig, limited: Limited = unlimited) -> None:
         self._tell, self._clock = tell, clock
         robot = "emulated" if "servos" in config.emulated() else "real"
         self._bench = {"bench": config.name, "robot": robot}
         self._next_ns = 0
         self._begun_ns: int | None = None
-        self._counts: dict[str, int] = {}
-        self._status: dict[str, Status] = {}
+        self._counts = dict.fromkeys(config.devices(), 0)
+        self._due_hz = {name: _due_hz(name, config) for name in config.devices()}
+        self._latest: dict[str, tuple[Any, ...]] = {}
+        self._figures_of = KindFigures(limited)
+        self._told_ns: int | None = None
         self._events = EventRows()
 
     def write(self, record: CycleRecord) -> None:
@@ -48,14 +57,16 @@ class StatusStream(Sink):
             samples = record.inputs.of(name)
             if samples:
                 self._counts[name] = self._counts.get(name, 0) + len(samples)
-                self._status[name] = worst(samples[-1])
+                self._latest[name] = samples[-1:]
+        if record.inputs.health:
+            self._latest[_HEALTH] = record.inputs.health[-1:]
         for event in record.events:
             self._events.add(event, (event.t_ns - self._begun_ns) / NS_PER_S)
         now_ns = self._clock.now_ns()
         if now_ns >= self._next_ns:
             self._next_ns = now_ns + _EVERY_NS
             self._tell("live", self._figures(record))
-            self._counts = dict.fromkeys(self._counts, 0)
+            self._counts, self._told_ns = dict.fromkeys(self._counts, 0), record.inputs.t_ns
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Pass on how the robot was left."""
@@ -64,7 +75,34 @@ class StatusStream(Sink):
 
     def close(self) -> None:
         """Reset the time axis: the next bench has its own."""
-        self._begun_ns = None
+        self._begun_ns = self._told_ns = None
+        self._latest.clear()
+
+    def _devices(self, inputs: Inputs) -> dict[str, dict[str, Any]]:
+        """Rate, age, state and values of every device; a device that has sent nothing has none."""
+        since_s = 0.0 if self._told_ns is None else (inputs.t_ns - self._told_ns) / NS_PER_S
+        ours: dict[str, Any] = {name: value for name, value in self._latest.items() if name in _OURS}
+        added = {name: value for name, value in self._latest.items() if name not in ours}
+        newest = replace(inputs, **ours, added={**inputs.added, **added})
+        return {name: self._device(name, newest, since_s) for name in self._counts}
+
+    def _device(self, name: str, newest: Inputs, since_s: float) -> dict[str, Any]:
+        count, samples = self._counts[name], self._latest.get(name, ())
+        told: dict[str, Any] = {
+            "samples": count,
+            "status": worst(samples[-1]).value if samples else "nothing yet",
+            "rate_hz": _short(count / since_s if since_s else None),
+            "due_hz": self._due_hz.get(name),
+            "age_ms": _short((newest.t_ns - samples[-1].stamp.t_ns) / 1e6 if samples else None),
+        }
+        kind = kinds()[name]
+        titles = {plot.entity: plot.title for plot in kind.plots}
+        shown = self._figures_of(kind, newest) if samples else ()
+        told["values"] = {
+            titles.get(entity, entity): {key: _short(value) for key, value in figures.items()}
+            for entity, figures in shown
+        }
+        return told
 
     def _figures(self, record: CycleRecord) -> dict[str, Any]:
         state, wheels = record.state, record.measurements.wheels
@@ -79,16 +117,28 @@ class StatusStream(Sink):
             "steering_rad": _plain(wheels[-1].steering_rad) if wheels else None,
             "adhesion_n": _number(state.diagnostics.get("adhesion_n")),
             "adhesion_needed_n": _number(state.diagnostics.get("adhesion_needed_n")),
-            "devices": {
-                name: {"samples": count, "status": self._status[name].value}
-                for name, count in self._counts.items()
-            },
+            "devices": self._devices(record.inputs),
             "events": event_lines(self._events.rows()),
         }
 
 
+def _due_hz(name: str, config: BenchConfig) -> float | None:
+    """Rate of a healthy device; None where it is not known."""
+    kind = kinds()[name]
+    given = config.devices()[name], config.loop.rate_hz
+    try:
+        return _number(call_in_package(name, kind.package, "rate_hz()", kind.rate_hz, *given))
+    except PackageError:
+        return None  # a bench that asks for it names the package
+
+
 def _plain(values: Sequence[float] | Any) -> list[float | None]:
     return [_number(value) for value in values]
+
+
+def _short(value: float | None) -> float | None:
+    """A value for a plot: five digits; None for what is unknown."""
+    return None if value is None or not math.isfinite(value) else float(f"{value:.5g}")
 
 
 def _number(value: float | None) -> float | None:

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from hil.console.jobs import signal_process
+from hil.console.jobs import identity, signal_process
 from hil.console.json_files import read
 from hil.console.stop_server import IDENTITY, PAGE, STOP
 from tests.chromium import CHROMIUM, Browser
@@ -246,5 +246,45 @@ def test_the_button_comes_back_when_its_own_process_dies(console, tmp_path):
         assert (after["port"], after["token"]) == (before["port"], before["token"])
         browser.until("document.getElementById('alarm').innerText === ''")
         assert browser.ask("fetch('/state').then((r) => r.status)") == 200
+    finally:
+        browser.close()
+
+
+def test_values_of_every_device_are_drawn_and_a_reload_keeps_them(console, tmp_path):
+    """Figures as a run tells them; the width of a phone holds them without scrolling sideways."""
+    devices = {
+        name: {
+            "samples": 9,
+            "status": "ok",
+            "rate_hz": 99.0,
+            "due_hz": due,
+            "age_ms": 4.0,
+            "values": {title: {}},
+        }
+        for name, due, title in (("imu", 100.0, "Turn rates (rad/s)"), ("my_scale", None, "Mass (kg)"))
+    }
+    said = ""
+    for n in range(40):
+        devices["my_scale"]["values"]["Mass (kg)"] = {"mass": n / 8}
+        devices["imu"]["values"]["Turn rates (rad/s)"] = {"x": n / 4, "y": None, "z": -n / 4}
+        pose = [n / 100, 0.0, 0.0]
+        figures = {"t_s": n / 2, "pose": pose, "twist": pose, "reference": None, "adhesion_n": None}
+        figures |= {"adhesion_needed_n": None, "wheel_rad_s": None, "steering_rad": None}
+        said += json.dumps({"live": {**figures, "devices": devices, "events": []}}) + "\n"
+    job_in(console.folder / "jobs", process=identity(os.getpid()), err=said)
+    browser = opened(console, tmp_path / "profile", 390, 900)
+    try:
+        browser.until("rows.length === 40 && trail.length >= 40", console.frame)
+        drawn = """[...document.querySelectorAll('#plots [data-device=my_scale] path')].map(
+            (path) => path.getAttribute('d').split('L').map((point) => Number(point.split(',').at(-1))))"""
+        browser.until(f"({drawn})[0]?.length === 40", console.frame)
+        (heights,) = browser.ask(drawn, console.frame)
+        assert heights == sorted(heights, reverse=True), "a mass that grows goes up"
+        assert (heights[0], heights[-1]) == (58.0, 2.0)
+        assert "4.88" in browser.ask(
+            "document.querySelector('#plots [data-device=my_scale] .values').innerText", console.frame
+        )
+        assert browser.ask("document.documentElement.scrollWidth <= 390", console.frame)
+        assert browser.complaints == []
     finally:
         browser.close()

@@ -29,7 +29,11 @@ def steps():
         for line in block["text"].splitlines():
             if re.match(r"mkdir|python3 -m venv|\. \.venv|python -m pip|hil info --compile", line):
                 continue
-            yield line, re.sub(r"^(hil|python) ?", lambda m: RUN[m[1]], line), 3 if line in STOPS else 0
+            yield (
+                line,
+                re.sub(r"(?:^|(?<= do ))(hil|python) ?", lambda m: RUN[m[1]], line),
+                3 if line in STOPS else 0,
+            )
 
 
 @pytest.fixture(scope="module")
@@ -63,5 +67,7 @@ def test_every_line_works_in_order(folder, line, command, code):
     assert done.returncode == code, f"{line}\n{done.stdout}{done.stderr}"
     if line == "hil run climb.py":
         assert end_error_mm(done.stdout) == pytest.approx(end_error_mm(TUTORIAL), abs=0.02), "as printed"
+    if line == "hil results trends":
+        assert "end_error drifts by +" in done.stdout
     if line == "hil results list":
         assert "end_error" in done.stdout

@@ -66,7 +66,27 @@ def test_it_reports_twice_a_second_and_counts_what_came_between(records):
     stream.write(records[9])
     assert reported[-1][1]["t_s"] == 0.0  # a bench that is opened again has a time of its own
     came = sum(len(r.inputs.servos) for r in records[1:5])
-    assert reported[1][1]["devices"]["servos"] == {"samples": came, "status": "ok"}
+    servos = reported[1][1]["devices"]["servos"]
+    assert (servos["samples"], servos["status"], servos["due_hz"]) == (came, "ok", 100.0)
+    assert servos["rate_hz"] == pytest.approx(100.0, rel=0.3)
+    assert abs(servos["age_ms"]) < 10.0
+    shown = servos["values"]["Servo angles (rad)"]
+    seen = [s for r in records[:5] for s in r.inputs.servos][-1]
+    assert list(shown.values()) == pytest.approx(seen.position_rad.tolist(), rel=1e-4, abs=1e-6)
+
+
+def test_every_device_of_the_bench_is_there_with_values_or_as_one_that_sent_nothing(records):
+    reported, clock = [], At()
+    stream = StatusStream(lambda kind, data: reported.append(data), clock, BENCH)
+    stream.write(replace(records[0], inputs=replace(records[0].inputs, imu=(), mocap=())))
+    for record in records:
+        stream.write(record)
+    clock.ns = nanoseconds(1.0)
+    stream.write(records[-1])
+    first, last = reported
+    assert set(first["devices"]) == set(last["devices"]) == set(BENCH.devices())
+    assert (first["devices"]["imu"]["status"], first["devices"]["imu"]["values"]) == ("nothing yet", {})
+    assert all(told["values"] for told in last["devices"].values())
 
 
 def test_what_is_unknown_is_null_and_events_stay(records):

@@ -196,17 +196,19 @@ function live(job) {
   const wheels = ["front left", "back left", "back right", "front right"].map((name, i) => [
     name, known(now.wheel_rad_s && now.wheel_rad_s[i], (w) => `${w.toFixed(2)} rad/s`), known(now.steering_rad && now.steering_rad[i], degrees)]);
   at("wheels").replaceChildren(...table(["wheel", "turns", "steered"], wheels));
-  at("streams").replaceChildren(...table(["device", "samples since the last look", "state"],
-    Object.entries(now.devices).map(([name, d]) => [name, String(d.samples), d.status])));
+  plot(now);
   map(now);
 }
 
 // Of a job that ran before this page was opened, or reloaded, the console knows what was.
 async function begun(job) {
   [trail, shownJob, force] = [[], job.name, null];
+  forget();
   try {
     const past = await call(`/api/past?job=${encodeURIComponent(job.name)}`);
-    if (shownJob === job.name) trail = [...past.path, ...trail];
+    if (shownJob !== job.name) return;
+    trail = [...past.path, ...trail];
+    remember(past.latest);
   } catch (error) { say(error); }
 }
 

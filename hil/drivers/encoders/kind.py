@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.config.encoders import EncodersConfig
-from hil.core.device import DeviceKind, Topic
+from hil.core.device import DeviceKind, Figures, Plot, Topic
 from hil.core.finding import Finding, Level
-from hil.core.signals import SERVOS, WHEELS, EncoderSample
+from hil.core.signals import SERVOS, WHEELS, EncoderSample, Inputs
 from hil.drivers.doctor_watch import Watched, losses
 from hil.drivers.encoders.as5045.model import As5045
 
@@ -99,6 +99,12 @@ class Encoders(DeviceKind):
     max_age_s, max_gap_s, min_delivered = 0.01, 0.05, 0.98
     has_own_clock = True
     topics = (Topic("/steering_encoders", "sensor_msgs/msg/JointState", encoder_state),)
+    plots = (Plot("Sensors", "Steering angles by encoders (rad)", "encoders/angle_rad"),)
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """Angle of each axis, before the zero of the bench file."""
+        if inputs.encoders:
+            yield "encoders/angle_rad", dict(zip(WHEELS, inputs.encoders[-1].angle_rad.tolist(), strict=True))
 
     def check(self, watched: Watched) -> Iterator[Finding]:
         """CAN link, node, and each axis."""

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from hil.core.device import DeviceKind, Topic
+from hil.core.device import DeviceKind, Figures, Plot, Topic, by_axis
 from hil.core.finding import Finding, Level
 from hil.core.geometry import Array
-from hil.core.signals import ImuSample, Status
+from hil.core.signals import ImuSample, Inputs, Status
 from hil.drivers.doctor_watch import Watched, losses
 from hil.drivers.imu.bno055.model import Bno055
 from hil.drivers.imu.microstrain.model import MicroStrain
@@ -83,6 +83,10 @@ class Imu(DeviceKind):
     models = (Bno055(), MicroStrain())
     max_age_s, max_gap_s, min_delivered = 0.02, 0.1, 0.95
     topics = (Topic("/imu/data", "sensor_msgs/msg/Imu", imu_message),)
+    plots = (
+        Plot("Sensors", "Turn rates (rad/s)", "imu/gyro_rad_s"),
+        Plot("Sensors", "Specific force (m/s^2)", "imu/force_m_s2"),
+    )
     motion_threshold = 0.2  # m/s^2: gravity turns with the robot, 0.17 for a degree
     silent_faults: ClassVar[Mapping[str, str]] = {
         "jump": "its own heading is not used, only gyro and gravity",
@@ -101,6 +105,12 @@ class Imu(DeviceKind):
     def motion_value(self, sample: ImuSample) -> Array | None:
         """Gravity (3,) in m/s^2."""
         return sample.gravity_m_s2 if sample.status is Status.OK else None
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """Turn rates and specific force, in the sensor's frame."""
+        if inputs.imu:
+            yield "imu/gyro_rad_s", by_axis(inputs.imu[-1].gyro_rad_s)
+            yield "imu/force_m_s2", by_axis(inputs.imu[-1].specific_force_m_s2)
 
     def check(self, watched: Watched) -> Iterator[Finding]:
         """Findings on samples, calibration status and gravity."""

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from hil.core.clock import nanoseconds
-from hil.core.device import DeviceKind, Topic
+from hil.core.device import DeviceKind, Figures, Plot, Topic, by_axis
 from hil.core.finding import Finding, Level
 from hil.core.geometry import Array
-from hil.core.signals import MocapSample, Status
+from hil.core.signals import Inputs, MocapSample, Status
 from hil.drivers.doctor_watch import LOSS_FAILURE, Watched
 from hil.drivers.mocap.natnet.model import NatNet
 
@@ -77,6 +77,7 @@ class Mocap(DeviceKind):
     max_age_s, max_gap_s, min_delivered = 0.05, 0.5, 0.8
     has_own_clock = True
     topics = (Topic("/mocap/pose", "geometry_msgs/msg/PoseStamped", _pose),)
+    plots = (Plot("Sensors", "Position by motion capture (m)", "mocap/position_m"),)
     motion_threshold, measures_position = 0.0005, True
     silent_faults: ClassVar[Mapping[str, str]] = {
         "intermittent": "the stream is judged second by second: reported within two seconds of a longer run",
@@ -90,6 +91,11 @@ class Mocap(DeviceKind):
     def motion_value(self, sample: MocapSample) -> Array | None:
         """Position (3,) in m."""
         return sample.position_m if sample.status is _OK and sample.tracking_valid else None
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """Position in the capture frame."""
+        if inputs.mocap:
+            yield "mocap/position_m", by_axis(inputs.mocap[-1].position_m)
 
     def check(self, watched: Watched) -> Iterator[Finding]:
         """Tracked frames, gaps, latency."""

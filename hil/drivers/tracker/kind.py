@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from hil.core.device import DeviceKind, Topic
+from hil.core.device import DeviceKind, Figures, Plot, Topic, by_axis
 from hil.core.finding import Finding
 from hil.core.geometry import Array
-from hil.core.signals import Status, TrackerSample
+from hil.core.signals import Inputs, Status, TrackerSample
 from hil.drivers.doctor_watch import Watched, losses
 from hil.drivers.tracker.mavlink.model import Mavlink
 from hil.drivers.tracker.t265.model import T265
@@ -60,6 +60,7 @@ class Tracker(DeviceKind):
     max_age_s, max_gap_s, min_delivered = 0.05, 0.1, 0.95
     has_own_clock = True
     topics = (Topic("/tracker/pose", "geometry_msgs/msg/PoseStamped", _pose),)
+    plots = (Plot("Sensors", "Position by the camera (m)", "tracker/position_m"),)
     motion_threshold, measures_position = 0.001, True  # m: noise of 0.5 mm leaves 0.1 in the mean
 
     def stale_after_s(self, safety: Any, config: Any) -> float:
@@ -73,6 +74,11 @@ class Tracker(DeviceKind):
     def motion_value(self, sample: TrackerSample) -> Array | None:
         """Position (3,) in m."""
         return sample.position_m if sample.status is _OK else None
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """Position in the frame in which the camera started."""
+        if inputs.tracker:
+            yield "tracker/position_m", by_axis(inputs.tracker[-1].position_m)
 
     def check(self, watched: Watched) -> Iterator[Finding]:
         """Findings on samples and tracking confidence."""
