@@ -47,7 +47,7 @@ class _Held(_Part):
     state: str
     moved_m: _Number = None
     why: str = ""
-    by: str = ""
+    by: str | None = None
     confirmed: bool = False
     rests_on: list[str] = []
 
