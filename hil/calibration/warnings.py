@@ -115,7 +115,20 @@ def motions_apart(found: Fit) -> list[str]:
 def warnings_of(recordings: Sequence[Recording]) -> list[str]:
     """Warnings of the recordings themselves: damage, repairs, a start in motion, corrections."""
     lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
-    return [*lines, *_taken_out(recordings), *notes_of(recordings)]
+    return [*lines, *unused_in(recordings), *_taken_out(recordings), *notes_of(recordings)]
+
+
+def unused_in(recordings: Sequence[Recording]) -> list[str]:
+    """One line for each set of topics that bags hold and `--topics` does not name."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for one in recordings:
+        if one.unused:
+            found.setdefault(one.unused, []).append(one.name)
+    return [
+        f"{names[0]}: not used, because --topics does not name them: {', '.join(topics)}"
+        + (f" ({len(names) - 1} more recordings likewise)" if len(names) > 1 else "")
+        for topics, names in found.items()
+    ]
 
 
 def _taken_out(recordings: Sequence[Recording]) -> list[str]:

@@ -92,7 +92,11 @@ def command(
             coupling=coupling or (coupling_of(file) if file else None),
         )
     used_model = "exact" if deploy == "twist" else model or (file.model if file else "exact")
-    used = _Used(file, robot, used_model, signal or (file.signal if file else "position"), deploy)
+    if file is not None and any(one.of_twist for one in recordings):
+        raise UsageError(f"{calibration} is of wheels, and --topics names a twist")
+    config = configured(bench)
+    on_wall = config is not None and config.environment.on_wall
+    used = _Used(file, robot, used_model, signal or (file.signal if file else "position"), deploy, on_wall)
     tracks = _tracks(recordings, used)
     table = evaluate(tracks) | used.to_json(calibration, recordings)
     warnings, table["problems"] = _warnings(recordings, used, str(calibration), model)
@@ -111,13 +115,14 @@ def command(
 
 @dataclass(frozen=True)
 class _Used:
-    """Basis of the odometry: a calibration or None, nominal robot, model, signal, deployment."""
+    """Basis of the odometry: calibration or None, nominal robot, model, signal, deployment, surface."""
 
     file: CalibrationFile | None
     robot: Nominal
     model: str
     signal: str
     deploy: str
+    on_wall: bool
 
     def to_json(self, calibration: Path | None, recordings: list[Recording]) -> dict[str, Any]:
         """Its keys of the JSON."""
@@ -155,6 +160,7 @@ def _warnings(
     from hil.calibration.applied_warnings import used_otherwise
     from hil.calibration.usability_check import failed_validation
     from hil.calibration.warnings import crossed_gaps, warnings_of
+    from hil.datasets.sensor_checks import sensor_contradictions
     from hil.datasets.wrong_signs import contradictions, without_motion
 
     file, robot = used.file, used.robot
@@ -162,7 +168,10 @@ def _warnings(
     warnings = [failed, *warnings_of(recordings)] if failed else warnings_of(recordings)
     warnings += crossed_gaps(recordings) if used.model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used.signal, used.deploy)
-    contradicted = contradictions(recordings, robot.geometry if file is None else file.geometry)
+    geometry = robot.geometry if file is None else file.geometry
+    contradicted = contradictions(recordings, geometry)
+    for one in recordings:
+        contradicted += sensor_contradictions(one, geometry, on_wall=used.on_wall)
     refused = without_motion(recordings) + contradicted
     warnings += _doubts(recordings, used, bool(contradicted)) + refused
     return warnings, [f"{r.name}: {what}" for r in recordings for what in r.problems] + refused

@@ -211,6 +211,7 @@ def _read(
     """Bench and runs of recordings; `findings` receives what is wrong with them."""
     from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usability_check import check_not_failed
+    from hil.calibration.warnings import unused_in
     from hil.datasets.dataset import Recording
     from hil.datasets.truth_correction import notes_of
     from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest
@@ -254,7 +255,7 @@ def _read(
         raise UsageError("no recording given")
     if geometry is not None:
         findings.refused += contradictions(tables, geometry)
-        findings.warnings += notes_of(tables)
+        findings.warnings += [*unused_in(tables), *notes_of(tables)]
     return config, runs
 
 

@@ -52,6 +52,7 @@ class Recording:
         coupling: turns (4) of the drive encoders per turn of the steering that were taken out; else empty.
         nominal: nominal robot that it was read for.
         sensors: samples of the IMU and the camera of another robot's bag.
+        unused: topics of its bag that could be used and are not named.
         later: parts after each step back of the stamps, as recordings of their own.
         derived: cache of results computed from the recording alone; empty in copies made by `replace`.
     """
@@ -76,6 +77,7 @@ class Recording:
     coupling: tuple[float, ...] = ()
     nominal: Nominal = field(default_factory=Nominal)
     sensors: SensorLog = field(default_factory=SensorLog)
+    unused: tuple[str, ...] = ()
     later: tuple[Recording, ...] = ()
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -152,6 +152,7 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
         repairs=repairs,
         of_twist=topics.wheels is None,
     )
+    found = replace(found, unused=unused_topics(file, set(names.values())))
     sensors = {names[table]: rows_of[table] for table in ("imu", "tracker") if table in names}
     if not sensors:
         return found
@@ -163,6 +164,15 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
         tracker.samples(times[names["tracker"]]) if "tracker" in names else (),
     )
     return replace(found, sensors=log)
+
+
+def unused_topics(file: Path, used: Collection[str]) -> tuple[str, ...]:
+    """Topics of a bag that a table of the mapping could name and none does, each with its type."""
+    kinds = {kind for group in _TYPES.values() for kind in group}
+    with opened_bag(file) as bag:
+        there = {topic.name: topic.kind for topics in bag.topics for topic in topics}
+    left = (name for name, kind in sorted(there.items()) if kind in kinds and name not in used)
+    return tuple(f"{name} ({there[name]})" for name in left)
 
 
 def _refuse_folder(folder: Path) -> None:

@@ -54,6 +54,8 @@ def sensors_text(bench: BenchModel, sensors: Sequence[str]) -> str:
     text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)
     if absent:
         text += f"; no {', no '.join(absent)}"
+    if bench.config.environment.on_wall and "tracker" not in sensors:
+        text += "; on a wall nothing but a camera sees the sag across gravity, so the position is off by it"
     if rest_on_wheels(sensors):
         noise = fitting(bench, sensors).config.estimator.process
         along, turning = noise.acceleration_m_s2_sqrt_hz, noise.angular_acceleration_rad_s2_sqrt_hz

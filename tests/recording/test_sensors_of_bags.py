@@ -271,3 +271,23 @@ def test_a_wrong_mount_is_named(bag, tmp_path, capsys, table, turn, said):
     path = mapping(tmp_path, f'[{table}]\ntopic = "{topic}"\nmount_rotation_wxyz = {mount}\n')
     assert main(["replay", str(bag), "--topics", str(path), "--estimator", "odometry", "--json"]) == 2
     assert any(re.search(said, line) for line in json.loads(capsys.readouterr().out)["problems"])
+
+
+def test_evaluate_and_tune_ask_the_same(bag, tmp_path, capsys):
+    mount = quat_multiply([math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0], SIDEWAYS).tolist()
+    path = mapping(tmp_path, f'[imu]\ntopic = "/chip"\nmount_rotation_wxyz = {mount}\n')
+    said = r"\[imu\]: its turning .* that about -?x agrees"
+    assert main(["evaluate", str(bag), "--topics", str(path), "--json"]) == 2
+    assert any(re.search(said, line) for line in json.loads(capsys.readouterr().out)["problems"])
+    assert main(["tune", str(bag), "--topics", str(path), "--evaluations", "2", "--json"]) == 2
+    assert any(re.search(said, line) for line in json.loads(capsys.readouterr().out)["problems"])
+
+
+@pytest.mark.parametrize("command", ["replay", "evaluate"])
+def test_topics_that_are_not_used_are_named(bag, tmp_path, capsys, command):
+    path = mapping(tmp_path, '[imu]\ntopic = "/chip"\nframe = "chip"\n')
+    assert main([command, str(bag), "--topics", str(path), "--json"]) == 0
+    (line,) = [one for one in json.loads(capsys.readouterr().out)["warnings"] if "not used" in one]
+    assert f"/vio ({ODOMETRY})" in line
+    assert "/chip" not in line
+    assert "/tf_static" not in line
