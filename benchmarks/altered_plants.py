@@ -17,11 +17,11 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
+from hil.commission.stages import STAGES
 from hil.core.clock import MonotonicClock
 from hil.fakes.plant import robot as plant
 from hil.fakes.plant.parameters import TrueParameters
 from hil.procedure import BenchSource
-from hil.procedure.commission.stages import STAGES
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
 

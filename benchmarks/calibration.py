@@ -23,7 +23,7 @@ from hil.calibration.calibrate import calibrate
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.core.clock import NS_PER_S, MonotonicClock
-from hil.datasets.blocks import reduce_recordings
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.read import read_recordings
 from hil.datasets.sampling import truth_window, wheel_steps
 from hil.robot.kinematics import WheelGeometry

@@ -24,7 +24,7 @@ from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.fakes.world import random_stream
 from hil.procedure.bench_fragment import NAME
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.tracking_errors import enable_hold, tracking_errors

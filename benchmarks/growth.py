@@ -36,7 +36,7 @@ from hil.cli import main as command_line
 from hil.core.clock import NS_PER_S
 from hil.core.registry import kinds
 from hil.core.signals import ServoSetpoint
-from hil.datasets.blocks import reduce_recordings
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.robot.kinematics import WheelGeometry
 
 WANTED = 1.1

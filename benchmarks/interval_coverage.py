@@ -28,9 +28,9 @@ from hil.calibration.synthetic import hidden_robot, make_set
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.geometry import Array
-from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import read_plain
+from hil.datasets.wheel_log import Recording
 from hil.procedure.odometry_motions import MOTIONS, Repetition, Sizes, drive_repetition, unused
 
 LOW, HIGH, REPETITIONS = 0.88, 0.99, 3

@@ -40,7 +40,7 @@ import numpy as np
 from host import stolen_s
 
 from hil.bench import open_bench
-from hil.config.servo_models.codes import BAUD_CODES
+from hil.config.servo_models.x_series_codes import BAUD_CODES
 from hil.core.clock import NS_PER_S, MonotonicClock, nanoseconds
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink

@@ -22,9 +22,9 @@ from hil.bench import open_bench
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.geometry import wrap_array
-from hil.estimator.consistency import nees
+from hil.estimator.nees import nees
 from hil.loop.driven_motion import Motion
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.tracking_errors import enable_hold

@@ -22,9 +22,9 @@ from hil.calibration.fitting import fit
 from hil.calibration.model_choice import Candidate, candidates, choose
 from hil.calibration.problem import RECOMMENDED
 from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS, hidden_robot, make_set
-from hil.datasets.blocks import reduce_recordings
-from hil.datasets.dataset import Recording
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.wheel_log import Recording
 
 LAWS = {
     "exact": ("viscous", 1.0),

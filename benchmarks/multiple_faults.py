@@ -37,13 +37,13 @@ import numpy as np
 
 from hil.bench import supported_faults
 from hil.config.loading import load_bench
+from hil.fault_matrix.cases import BEGUN_S, DURATION_S, PLANTS, Cell
+from hil.fault_matrix.drive import observed
+from hil.fault_matrix.judge import judge
+from hil.fault_matrix.movement_bounds import FARTHEST_M, LEAST_ADHESION_N, crept_most_m, let_go
+from hil.fault_matrix.observation import Seen
+from hil.fault_matrix.strengths import DEFAULT, strengths_of
 from hil.faults.fault import WAYS, Supported, parse_fault
-from hil.procedure.faults.cases import BEGUN_S, DURATION_S, PLANTS, Cell
-from hil.procedure.faults.drive import observed
-from hil.procedure.faults.judge import judge
-from hil.procedure.faults.movement_bounds import FARTHEST_M, LEAST_ADHESION_N, crept_most_m, let_go
-from hil.procedure.faults.observation import Seen
-from hil.procedure.faults.strengths import DEFAULT, strengths_of
 
 FIRST_SEED = 690_000
 """Seed of the world of run 0."""

@@ -84,9 +84,9 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "state_check": ("hil/loop/checks/state_valid.py", ("tests/core/test_state_check.py",)),
     "filter_watch": ("hil/loop/checks/filter_fit.py", ("tests/core/test_filter_watch.py",)),
     "own_parts": ("hil/loop/user_parts.py", ("tests/core/test_own_parts.py",)),
-    "held": ("hil/bench/hold/result.py", ("tests/bench/test_held_in_words.py",)),
+    "held": ("hil/bench/hold/verdict.py", ("tests/bench/test_held_in_words.py",)),
     "holding": (
-        "hil/bench/hold/monitor.py",
+        "hil/bench/hold/hold_check.py",
         (
             "tests/bench/test_tilt_seen.py",
             "tests/bench/test_held_by_whom.py",
@@ -103,10 +103,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "pose_at_rest": ("hil/bench/contract/pose_at_rest.py", ("tests/bench/test_contract_at_rest.py",)),
     "fall_watch": ("hil/loop/checks/fall.py", ("tests/core/test_fall_watch.py",)),
     "pressing": ("hil/bench/hold/adhesion_force.py", ("tests/adhesion_bench/test_press_watch.py",)),
-    "fault_verdicts": (
-        "hil/procedure/faults/judge.py",
-        ("tests/procedure/test_fault_judge.py", "-k", _OF_CELLS),
-    ),
+    "fault_verdicts": ("hil/fault_matrix/judge.py", ("tests/procedure/test_fault_judge.py", "-k", _OF_CELLS)),
     "measurements": (
         "hil/procedure/measurements.py",
         ("tests/procedure/test_measurements_and_parameters.py", "-k", "not run_small and not one_number"),
@@ -115,11 +112,8 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "time_offset": ("hil/datasets/time_offset.py", ("tests/calibration/test_time_offset.py",)),
     "origin": ("hil/config/robot_record/origin.py", _RECORDS),
     "plausible": ("hil/config/robot_record/limits.py", _RECORDS),
-    "resting": (
-        "hil/procedure/commission/reruns.py",
-        (_COMMISSION, "-k", "rests or part or resumed or many_keys"),
-    ),
-    "stop_words": ("hil/procedure/commission/stop_reason.py", (_COMMISSION, "-k", _OF_STOPPING)),
+    "resting": ("hil/commission/reruns.py", (_COMMISSION, "-k", "rests or part or resumed or many_keys")),
+    "stop_words": ("hil/commission/stop_reason.py", (_COMMISSION, "-k", _OF_STOPPING)),
     "alarm": ("hil/console/not_held_alarm.py", ("tests/console/test_alarm.py",)),
     "written": (
         "hil/report/history/removal.py",
@@ -138,13 +132,13 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "signs": ("hil/datasets/wrong_signs.py", ("tests/calibration/test_wrong_signs.py",)),
     "truth_leaps": ("hil/datasets/truth_jumps.py", ("tests/calibration/test_leaps_of_ground_truth.py",)),
     "caveats": ("hil/calibration/warnings.py", ("tests/calibration/test_caveats.py",)),
-    "alike": ("hil/procedure/campaign/ineffective_settings.py", ("tests/campaign/test_campaign_alike.py",)),
+    "alike": ("hil/campaign/ineffective_settings.py", ("tests/campaign/test_campaign_alike.py",)),
     "campaign_check": (
-        "hil/procedure/campaign/plan_file.py",
+        "hil/campaign/plan.py",
         ("tests/campaign/test_campaign_command.py", "-k", "refused_before_anything"),
     ),
     "acceptance": (
-        "hil/procedure/acceptance.py",
+        "hil/commission/acceptance.py",
         (_ACCEPT, "-k", "not sheets and not phone and not disk and not listed"),
     ),
 }

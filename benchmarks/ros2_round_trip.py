@@ -39,7 +39,7 @@ from host import stolen_s
 from hil.core.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.core.interfaces import CommandingSink
 from hil.core.signals import CycleRecord
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.recording.transform_tree import describe_clock
 from hil.robot.trajectories import line
 from hil.ros2.network import Network

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from hil.config.bench import bench_model
-from hil.config.values import bounds_of
+from hil.config.field_types import bounds_of
 from hil.core.device import DeviceModel
 from hil.core.registry import kinds
 from hil.core.signals import KINDS

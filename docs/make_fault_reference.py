@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 import hil
-from hil.bench.emulation import supported_faults
+from hil.bench.emulated_devices import supported_faults
 from hil.cli.declared import FAULTS as TABLE
 from hil.cli.declared import TABLED
 from hil.config.loading import load_bench

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.core.choices import ESTIMATORS, EstimatorName
 from hil.core.geometry import ArrayLike
+from hil.core.known_names import ESTIMATORS, EstimatorName
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.tracking_errors import (

@@ -12,7 +12,7 @@ from pathlib import Path
 import tomli_w
 from pydantic import BaseModel
 
-from hil.bench.drivers import model_of
+from hil.bench.device_set_from_config import model_of
 from hil.config.loading import load_bench
 from hil.core.device import Connection
 from hil.core.registry import kinds

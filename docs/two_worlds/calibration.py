@@ -17,8 +17,8 @@ from hil.calibration.problem import make_setting
 from hil.core.clock import NS_PER_S, MonotonicClock
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.wheel_log import Recording, build_recording
 from hil.fakes.plant import SteppedBody
 from hil.procedure.odometry_motions import MOTIONS, Sizes, reference
 from hil.robot.kinematics import WheelGeometry, projection

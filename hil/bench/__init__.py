@@ -11,7 +11,7 @@ from hil.support.first_use import on_first_use
 
 if TYPE_CHECKING:
     from hil.bench.bench import Bench
-    from hil.bench.emulation import (
+    from hil.bench.emulated_devices import (
         check_faults,
         faults_within,
         hidden_truth,
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         planned_faults,
         supported_faults,
     )
-    from hil.bench.hold.result import Held
+    from hil.bench.hold.verdict import Held
     from hil.bench.loop_settings import alignment_parameters, safety_limits
     from hil.bench.opening import make_bench_model, open_bench
     from hil.drivers.servos.dynamixel.commissioning import set_up
@@ -31,22 +31,22 @@ else:
     _OFFERED = {
         "Bench": "hil.bench.bench",
         "Fault": "hil.faults.fault",
-        "Held": "hil.bench.hold.result",
+        "Held": "hil.bench.hold.verdict",
         "World": "hil.fakes.world",
         "alignment_parameters": "hil.bench.loop_settings",
         "check_fault_kind": "hil.faults.fault:check_kind",
-        "check_faults": "hil.bench.emulation",
+        "check_faults": "hil.bench.emulated_devices",
         "describe_fault": "hil.faults.fault:describe",
-        "faults_within": "hil.bench.emulation",
-        "hidden_truth": "hil.bench.emulation",
+        "faults_within": "hil.bench.emulated_devices",
+        "hidden_truth": "hil.bench.emulated_devices",
         "make_bench_model": "hil.bench.opening",
         "make_fault": "hil.faults.fault",
         "open_bench": "hil.bench.opening",
-        "open_emulation": "hil.bench.emulation",
-        "planned_faults": "hil.bench.emulation",
+        "open_emulation": "hil.bench.emulated_devices",
+        "planned_faults": "hil.bench.emulated_devices",
         "safety_limits": "hil.bench.loop_settings",
         "set_up": "hil.drivers.servos.dynamixel.commissioning",
-        "supported_faults": "hil.bench.emulation",
+        "supported_faults": "hil.bench.emulated_devices",
     }
     __getattr__ = on_first_use(__name__, _OFFERED)
 

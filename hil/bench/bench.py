@@ -18,7 +18,7 @@ from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_
 from hil.bench.hold.held_devices import HeldDevices
 from hil.bench.injection import Injection
 from hil.bench.loop_settings import real_time
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.config.estimator import MocapNoise
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock, nanoseconds

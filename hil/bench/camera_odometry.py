@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.config.bench import BenchConfig
 from hil.config.servos import ServosConfig
 from hil.config.tracker import T265Config

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from hil.bench.drivers import make_device_set
+from hil.bench.device_set_from_config import make_device_set
 from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, forces_now_n, must_be_enough
 from hil.bench.fan_start_check import FanStartCheck, contradicted
 from hil.bench.loop_settings import force_wanted_n

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.drivers import make_device_set
+from hil.bench.device_set_from_config import make_device_set
 from hil.bench.hold.tilt_check import tilt_rad
 from hil.bench.loop_settings import adhesion_limits, can_fall, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.drivers import make_device_set
+from hil.bench.device_set_from_config import make_device_set
 from hil.bench.fan_interlock import DEVICE, watched
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig

@@ -8,8 +8,8 @@ from dataclasses import fields
 
 import numpy as np
 
+from hil.bench.device_set_from_config import model_of
 from hil.bench.doctor.steering_offsets import expected_offsets_rad
-from hil.bench.drivers import model_of
 from hil.bench.third_party.added_checks import added_checks
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
@@ -23,8 +23,8 @@ from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import Clock, MonotonicClock
 from hil.core.geometry import Array
-from hil.core.package_errors import OURS, call_in_package
 from hil.core.registry import kinds
+from hil.core.third_party_errors import OURS, call_in_package
 from hil.datasets.nominal_robot import Nominal
 from hil.loop.alignment import AlignmentParameters
 from hil.loop.checks.adhesion import AdhesionWatch
@@ -38,7 +38,7 @@ from hil.loop.checks.weight import Lifted, WeightCheck
 from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.pose_alignment import Mount
 from hil.loop.realtime import RealTime
-from hil.loop.safety import Checks, SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
 

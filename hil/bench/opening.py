@@ -15,17 +15,17 @@ from typing import Any
 from hil.bench.bench import Bench
 from hil.bench.by_hand import Hand
 from hil.bench.camera_odometry import with_wheel_sigma
-from hil.bench.drivers import make_device_set, model_of
-from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
+from hil.bench.device_set_from_config import make_device_set, model_of
+from hil.bench.emulated_devices import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.emulator_process import EmulatorProcess
 from hil.bench.injection import Injection, at_links
 from hil.bench.loop_settings import geometry_of, with_wheel_model
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.usability_check import check_usable, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.core import opened_benches
+from hil.core import bench_observers as opened_benches
 from hil.core.clock import MonotonicClock
 from hil.core.device import Connection
 from hil.core.errors import DeviceError, UsageError

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from hil.bench.drivers import model_of
+from hil.bench.device_set_from_config import model_of
 from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError
 

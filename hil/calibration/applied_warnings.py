@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hil.calibration.calibration_file import CalibrationFile
-from hil.datasets.copies import same_wheels, wheel_fingerprint
-from hil.datasets.dataset import Recording
+from hil.datasets.duplicates import same_wheels, wheel_fingerprint
+from hil.datasets.wheel_log import Recording
 
 
 @dataclass(frozen=True)

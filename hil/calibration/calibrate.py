@@ -30,9 +30,9 @@ from hil.calibration.warnings import HARDLY, caveats, common_zero_rad, left_out_
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.blocks import Blocks, reduce_recordings
-from hil.datasets.dataset import Recording
+from hil.datasets.fit_blocks import Blocks, reduce_recordings
 from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import LEAVE_OUT, NO_MOTION, contradictions, is_at_rest
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import WHOLE, Report, silent

@@ -30,7 +30,7 @@ from hil.config.robot_record.parts import Identity
 from hil.core.errors import ConfigError, reason_of
 from hil.core.geometry import Array
 from hil.datasets.azimuth_coupling import Coupling
-from hil.datasets.copies import wheel_fingerprint
+from hil.datasets.duplicates import wheel_fingerprint
 from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.support.atomic_files import put_whole
 from hil.support.file_reading import read_toml
@@ -65,7 +65,7 @@ class CalibrationFile(BaseModel):
 
     Attributes:
         recordings: recordings of the fit, by name: motion, digests of the files, wheels
-            (`hil.datasets.copies.wheel_fingerprint`) and weight.
+            (`hil.datasets.duplicates.wheel_fingerprint`) and weight.
         verdict: verdict of the validation run on the bench; empty without such a run.
         made_for: servos that it was made with, None for recordings of unknown origin.
         robot: robot that it belongs to; None where the bench is not known.

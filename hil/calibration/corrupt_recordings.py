@@ -15,10 +15,10 @@ import numpy as np
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED
 from hil.core.geometry import Array, Bools
-from hil.datasets.blocks import reduce_recordings
-from hil.datasets.dataset import Recording
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.odd_wheels import odd_wheels
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import (
     NO_MOTION,
     RATES_AGAINST,

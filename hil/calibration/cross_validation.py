@@ -14,8 +14,8 @@ from hil.calibration.fitting import fit
 from hil.calibration.problem import Setting
 from hil.calibration.solvers import Progress
 from hil.core.geometry import Array
-from hil.datasets.blocks import Blocks
-from hil.datasets.dataset import Recording
+from hil.datasets.fit_blocks import Blocks
+from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import WheelGeometry
 
 Table = dict[str, dict[str, float]]

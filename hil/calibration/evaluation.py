@@ -4,7 +4,7 @@ Two kinds of preprocessing. `paper` is the authors' own (arXiv 2509.04016): rece
 servo signals interpolated to the ground-truth stamps, the first 29 samples dropped, forward Euler, initial
 heading from one sample. The default integrates on SE(2) from wheel row to wheel row, also in gaps of the
 ground truth, and compares only at rows of the ground truth. It starts at the pose of
-`hil.datasets.initial_rest`.
+`hil.datasets.start_pose`.
 
 Errors e_m and e_a are the paper's (arXiv 2509.04016): e_m is the largest absolute error of any repetition,
 e_a the mean over the repetitions of each one's largest absolute error.
@@ -19,9 +19,9 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.dataset import Recording
-from hil.datasets.initial_rest import start_of
 from hil.datasets.sampling import block_vectors, interpolate, truth_window, wheel_edges, wheel_steps
+from hil.datasets.start_pose import start_of
+from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate, sample_path
 

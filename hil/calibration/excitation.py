@@ -15,7 +15,7 @@ import numpy as np
 from hil.calibration.motion_models import make_model
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
-from hil.datasets.blocks import Blocks
+from hil.datasets.fit_blocks import Blocks
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.truth_correction import EITHER_SCALE, FAR
 from hil.datasets.wrong_signs import CHECK_COLUMNS

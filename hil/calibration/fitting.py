@@ -24,7 +24,7 @@ from hil.calibration.solvers import (
     standard_errors_left,
 )
 from hil.core.geometry import Array
-from hil.datasets.blocks import Blocks
+from hil.datasets.fit_blocks import Blocks
 from hil.robot.kinematics import WheelGeometry
 
 _CHAIN = (2.0, 1.5, 1.2, 1.0)

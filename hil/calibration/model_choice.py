@@ -33,9 +33,9 @@ from hil.calibration.fitting import Fit
 from hil.calibration.problem import Setting
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.blocks import reduce_recordings
-from hil.datasets.dataset import Recording
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.nominal_robot import lever_m
+from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors
 from hil.robot.odometry import integrate
 from hil.support.progress import Report, silent

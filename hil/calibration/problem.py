@@ -20,7 +20,7 @@ from hil.calibration.motion_models import Motions, make_model
 from hil.calibration.residual_pass import Contacts, PassInputs, PassResults, load_pass, run_pass
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
-from hil.datasets.blocks import Blocks
+from hil.datasets.fit_blocks import Blocks
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from hil.calibration.problem import Problem
-from hil.core.choices import METHODS
 from hil.core.errors import UsageError
 from hil.core.geometry import Array
+from hil.core.known_names import METHODS
 from hil.support.extras import how_to_install, why_unusable
 
 Progress = Callable[[int, int], None]

@@ -18,8 +18,8 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.wheel_log import Recording, build_recording
 from hil.robot.contact_laws import creep_motion, least_dissipation
 from hil.robot.kinematics import WheelGeometry, inverse, projection, wheel_vectors
 from hil.robot.odometry import integrate

@@ -8,7 +8,7 @@ from hil.calibration.calibration_file import CalibrationFile, MadeFor
 from hil.config.bench import BenchConfig
 from hil.config.servos import ServosConfig
 from hil.core.errors import ConfigError
-from hil.core.result_files import PASSED
+from hil.core.result_names import PASSED
 from hil.robot.kinematics import WheelGeometry
 
 _SAME_M = 1e-6

@@ -25,7 +25,7 @@ from hil.calibration.usability_check import check_made_for, check_passed, made_f
 from hil.config.bench import BenchConfig
 from hil.config.robot_record.parts import Identity
 from hil.core.errors import ConfigError, reason_of
-from hil.core.result_files import PASSED
+from hil.core.result_names import PASSED
 from hil.support.atomic_files import put_whole
 from hil.support.file_reading import MOST_TOML_BYTES, read_bytes
 

@@ -11,12 +11,12 @@ from hil.calibration.excitation import DIRECTIONS, Driven, driven, undriven
 from hil.calibration.fitting import Fit
 from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
-from hil.datasets.blocks import Blocks
-from hil.datasets.dataset import Recording
-from hil.datasets.initial_rest import start_of
+from hil.datasets.fit_blocks import Blocks
 from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S
+from hil.datasets.start_pose import start_of
 from hil.datasets.truth_correction import notes_of
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import CHECK_COLUMNS, contradictions
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate

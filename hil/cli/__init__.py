@@ -17,12 +17,12 @@ from collections.abc import Sequence
 import click
 
 from hil import __version__
+from hil.cli.closed_output import Answered, Output, error_as_json, print_user_calls
 from hil.cli.options import PROGRESS, SuggestingGroup
-from hil.cli.output import Answered, Output, error_as_json, print_user_calls
 from hil.core.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
 from hil.core.errors import error_text as in_a_line
 from hil.support.file_reading import printable
-from hil.support.stop_signals import ignore_stop_signals
+from hil.support.interrupt_signals import ignore_stop_signals
 
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.
@@ -126,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.exceptions.Exit as leave:
         return leave.exit_code
     except click.ClickException as error:
-        from hil.cli.mistyped import explained
+        from hil.cli.suggestions import explained
 
         better = explained(error)
         better.show(sys.stderr)

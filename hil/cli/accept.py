@@ -14,7 +14,7 @@ from hil.cli.progress import reporting
 from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.core.clock import local_time
 from hil.core.errors import shown_path
-from hil.core.result_files import ACCEPTANCE_TABLE
+from hil.core.result_names import ACCEPTANCE_TABLE
 
 
 @click.command()
@@ -36,8 +36,8 @@ def command(
 
     Example: hil accept --bench my.toml
     """
+    from hil.commission.acceptance import Acceptance, accept
     from hil.core.errors import EXIT_ABORTED, ConfigError, HilError
-    from hil.procedure.acceptance import Acceptance, accept
     from hil.report.acceptance_page import write_acceptance
     from hil.support.atomic_files import check_folder
 

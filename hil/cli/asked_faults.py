@@ -10,7 +10,7 @@ from hil.core.errors import UsageError
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
-    from hil.procedure.faults import Cell, CellVerdict
+    from hil.fault_matrix import Cell, CellVerdict
 
 DEFAULTS = {"moments": "open,motion,stop,second", "plants": "own", "bench": "emulated"}
 
@@ -33,8 +33,8 @@ def cells_at_links(
     asked: Asked, config: BenchConfig, seeds: Sequence[int], moments: Sequence[str]
 ) -> tuple[Cell, ...]:
     """The selected cells of real devices."""
-    from hil.procedure.faults import cells_of, quick_cells, random_cells
-    from hil.procedure.faults.on_devices import DEVICES, faults_at_links
+    from hil.fault_matrix import cells_of, quick_cells, random_cells
+    from hil.fault_matrix.on_devices import DEVICES, faults_at_links
 
     supported, plants = faults_at_links(config), (DEVICES,)
     if asked.quick:
@@ -46,7 +46,7 @@ def cells_at_links(
 
 def on_devices(asked: Asked, bench: str, workers: int) -> Callable[[Cell], CellVerdict]:
     """The function that runs a cell on real devices; raises `UsageError` for several of them at once."""
-    from hil.procedure.faults.on_devices import DeviceCells
+    from hil.fault_matrix.on_devices import DeviceCells
 
     if workers or asked.plants != DEFAULTS["plants"]:
         raise UsageError(

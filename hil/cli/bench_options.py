@@ -14,10 +14,10 @@ from hil.cli import start_question
 from hil.cli.completion_types import BENCH, CONTROLLER, DEVICES, FAULT, SETTING
 from hil.cli.options import FILE, SEED, FiniteRange
 from hil.cli.question_answers import at_the_terminal, watching
-from hil.core.choices import HIGHEST_DOMAIN, LAWS
+from hil.core.known_names import HIGHEST_DOMAIN, LAWS
 
 if TYPE_CHECKING:
-    from hil.procedure.bench_request import BenchSource
+    from hil.procedure.bench_source import BenchSource
 
 _stated = partial(partial, click.option)
 """An option to which a command can still add its own help or default."""
@@ -148,7 +148,7 @@ class BenchRequest:
             UsageError: `--start` is no pose, `--by-hand` without a terminal, or `--controller` is unknown.
             ConfigError: the controller of the user's own cannot be loaded.
         """
-        from hil.procedure.bench_request import BenchSource
+        from hil.procedure.bench_source import BenchSource
         from hil.procedure.user_controllers import check_named
 
         own = "" if self.controller in LAWS else self.controller

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.nominal_robot_option import BENCH, configured, on_paper
 from hil.cli.options import COUPLING, JSON, OUT, PLOTS, SEED, TOPICS, FiniteRange, truth_options
 from hil.cli.progress import reporting
-from hil.cli.robot_of_recordings import BENCH, configured, on_paper
-from hil.core.choices import METHODS
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
+from hil.core.known_names import METHODS
 from hil.core.signals import WHEELS
 from hil.robot.kinematics import MODELS
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion_types import BENCH
+from hil.cli.nominal_robot_option import configured
 from hil.cli.options import FILE, JSON, SuggestingGroup
-from hil.cli.robot_of_recordings import configured
 
 if TYPE_CHECKING:
     from hil.calibration.versions import KeptVersion

@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.closed_output import kept_for_json
 from hil.cli.completion_types import SCRIPT
 from hil.cli.interrupted_series import shown_when_ended
 from hil.cli.options import FILE, JSON, OUT
-from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.cli.ros2_options import published
-from hil.core.choices import LAWS
 from hil.core.errors import (
     EXIT_ABORTED,
     EXIT_LIMIT_FAILED,
@@ -30,13 +29,14 @@ from hil.core.errors import (
     UsageError,
     shown_path,
 )
-from hil.core.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
+from hil.core.known_names import LAWS
+from hil.core.result_names import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
 from hil.support.atomic_files import check_name, write_text
 
 if TYPE_CHECKING:
+    from hil.campaign import Case, Row
+    from hil.campaign.run_case import Setup
     from hil.core.interfaces import Sink
-    from hil.procedure.campaign import Case, Row
-    from hil.procedure.campaign.run_case import Setup
     from hil.procedure.declaration import Procedure
     from hil.procedure.run_outputs import Keep
 
@@ -107,9 +107,9 @@ def command(
 
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
-    from hil.procedure.campaign import check_dask, expand, parse_axis, parse_seeds
-    from hil.procedure.campaign.plan_file import check, keep_plan, locked_folder
-    from hil.procedure.campaign.run_case import Setup
+    from hil.campaign import check_dask, expand, parse_axis, parse_seeds
+    from hil.campaign.plan import check, keep_plan, locked_folder
+    from hil.campaign.run_case import Setup
     from hil.procedure.procedure_lookup import load_procedure
 
     if scheduler == "":
@@ -209,17 +209,9 @@ def _run(
 
     With `publish` the cases run in this process, one after the other: one program drives one robot.
     """
-    from hil.procedure.campaign import spread, write_rows
-    from hil.procedure.campaign.input_files import files_of
-    from hil.procedure.campaign.run_case import (
-        Delivery,
-        Job,
-        arrived,
-        finished,
-        lost,
-        run_case,
-        run_case_elsewhere,
-    )
+    from hil.campaign import spread, write_rows
+    from hil.campaign.input_files import files_of
+    from hil.campaign.run_case import Delivery, Job, arrived, finished, lost, run_case, run_case_elsewhere
 
     jobs = [Job(setup, case, str(out / RUNS / case.name)) for case in cases]
     rows.update({job.case: row for job in jobs if (row := finished(job)) is not None})
@@ -267,9 +259,9 @@ def exit_code(rows: Sequence[Row]) -> int:
 def _write(
     out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], rows: Sequence[Row]
 ) -> dict[str, Any]:
-    from hil.procedure.campaign import alike, summarise, write_campaign_page, write_csv
-    from hil.procedure.campaign.plan_file import SCHEMA
-    from hil.procedure.campaign.table import count
+    from hil.campaign import alike, summarise, write_campaign_page, write_csv
+    from hil.campaign.plan import SCHEMA
+    from hil.campaign.table import count
 
     early = len(rows) < len(cases)
     code = EXIT_ABORTED if early else exit_code(rows)
@@ -302,8 +294,8 @@ def _line(error: str) -> str:
 
 
 def _text(tree: dict[str, Any]) -> str:
-    from hil.procedure.campaign.ineffective_settings import in_a_sentence
-    from hil.procedure.campaign.table import in_words
+    from hil.campaign.ineffective_settings import in_a_sentence
+    from hil.campaign.table import in_words
     from hil.report.pages import number
 
     lines = []
@@ -329,7 +321,7 @@ def _text(tree: dict[str, Any]) -> str:
 
 def _share(group: dict[str, Any]) -> str:
     """Share of good runs of a combination in words, among the runs that tested what they should."""
-    from hil.procedure.campaign.table import not_tested
+    from hil.campaign.table import not_tested
 
     said, tested = f"{group['n']} runs", group["tested"]
     if tested:

@@ -16,7 +16,7 @@ from hil.cli.progress import reporting
 from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.core.clock import local_time
 from hil.core.errors import shown_path
-from hil.core.result_files import COMMISSIONING_TABLE
+from hil.core.result_names import COMMISSIONING_TABLE
 
 DEFAULT = "emulated_delivered"
 
@@ -46,8 +46,8 @@ def command(
 
     Example: hil commission --quick
     """
+    from hil.commission import Commission, commission
     from hil.core.clock import MonotonicClock
-    from hil.procedure.commission import Commission, commission
 
     source = request.source(_overrides(request.settings))
     source = source.changed(overrides=start_question.asked_start(source.config))
@@ -85,7 +85,7 @@ def _overrides(settings: tuple[str, ...]) -> dict[str, object]:
 
 
 def _text(summary: dict[str, Any]) -> str:
-    from hil.bench.hold.result import held_in_words
+    from hil.bench.hold.verdict import held_in_words
 
     lines = [
         f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip()

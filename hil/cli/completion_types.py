@@ -13,7 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from hil.cli.options import FileName
-from hil.core.choices import LAWS
+from hil.core.known_names import LAWS
 
 Known = Mapping[str, str]
 """Possible words with their descriptions; a description may be empty."""

@@ -90,7 +90,7 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
     from hil.console.stop_server import PAGE, runs
     from hil.console.web_server import Server
     from hil.support.atomic_files import check_folder
-    from hil.support.stop_signals import StopRequest
+    from hil.support.interrupt_signals import StopRequest
 
     load_bench(bench or "emulated")
     check_folder(folder)
@@ -146,13 +146,13 @@ def _way_in(folder: Path) -> str:
 
 
 def _actions(where: Path) -> list[Action]:
-    from hil.cli.console_forms import actions
+    from hil.console.forms import actions
 
     return actions(where)
 
 
 def _benches() -> tuple[str, ...]:
-    from hil.cli.console_forms import benches
+    from hil.console.forms import benches
 
     return benches()
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import hil
-from hil.core.choices import KINDS
+from hil.core.known_names import KINDS
 
 _PACKAGE = Path(hil.__file__).resolve().parent
 _GROUP = "hil.devices"
@@ -65,7 +65,7 @@ def faults(bench: str) -> dict[str, dict[str, list[str]]]:
     if bench == TABLED and not Path(bench).exists():
         found: dict[str, dict[str, list[str]]] = json.loads(FAULTS.read_text(encoding="utf-8"))
         return found
-    from hil.bench.emulation import supported_faults
+    from hil.bench.emulated_devices import supported_faults
     from hil.config.loading import load_bench
 
     declared = supported_faults(load_bench(bench, emulate="all"))

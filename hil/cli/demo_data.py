@@ -13,9 +13,9 @@ from typing import Any
 import click
 
 from hil.cli.completion_types import FAULT
+from hil.cli.nominal_robot_option import BENCH, configured, on_paper
 from hil.cli.options import FILE, JSON, SEED
 from hil.cli.progress import reporting
-from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 
 _CONTACTS = {"formulas": ("viscous", "coulomb", "elastic"), "own": (), "mujoco": ("creep", "holding")}
 _FLOOR = "emulated_floor"

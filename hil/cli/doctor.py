@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.closed_output import print_user_calls
 from hil.cli.options import JSON, OUT, FiniteRange
-from hil.cli.output import print_user_calls
 from hil.core.errors import EXIT_DEVICE, EXIT_PASS
 
 if TYPE_CHECKING:

@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.closed_output import Answered
 from hil.cli.options import FILE, OUT
-from hil.cli.output import Answered
 from hil.config.bench import BenchConfig
 from hil.core.clock import sleep_punctually
 from hil.core.errors import EXIT_PASS, UsageError, reason_of
 from hil.core.registry import kinds
-from hil.support.stop_signals import handled_by
+from hil.support.interrupt_signals import handled_by
 
 _OF_HARDWARE = Path("/dev")
 _NICE = -5
@@ -151,9 +151,9 @@ def command(
     Example: hil emulate --only servos,imu --out endpoints.json
     """
     from hil.bench import open_emulation
+    from hil.bench.endpoints_file import EndpointsFile, await_endpoints
     from hil.bench.hold.held_by_hand import EmulatedSupport
     from hil.cli.emulate import PortLinks
-    from hil.cli.endpoints_file import EndpointsFile, await_endpoints
     from hil.config.loading import NoSuchDevice, load_bench
     from hil.config.several_devices import resolve_device
 

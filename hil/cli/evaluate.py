@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.nominal_robot_option import BENCH, configured, on_paper
 from hil.cli.options import COUPLING, FILE, JSON, PLOTS, TOPICS, truth_options
 from hil.cli.progress import reporting
-from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 from hil.core.errors import EXIT_PASS, EXIT_USAGE
 from hil.robot.kinematics import MODELS
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from hil.calibration.calibration_file import CalibrationFile
     from hil.calibration.evaluation import Track
     from hil.datasets.azimuth_coupling import Coupling
-    from hil.datasets.dataset import Recording
     from hil.datasets.nominal_robot import Nominal
     from hil.datasets.truth_files import TruthFile
+    from hil.datasets.wheel_log import Recording
 
 _BLOCK_S = 0.1
 _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
@@ -212,7 +212,7 @@ def _doubts(recordings: list[Recording], used: _Used, contradicted: bool) -> lis
     from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, Driven, mismatch
     from hil.calibration.problem import make_setting
     from hil.calibration.warnings import beyond_driven, worse_as_twist
-    from hil.datasets.blocks import reduce_recordings
+    from hil.datasets.fit_blocks import reduce_recordings
 
     file, robot = used.file, used.robot
     blocks = reduce_recordings(recordings, _BLOCK_S, used.signal)

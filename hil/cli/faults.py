@@ -20,11 +20,11 @@ from hil.cli.interrupted_series import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean, shown_path
-from hil.core.result_files import FAULTS_MATRIX, FAULTS_PAGE
+from hil.core.result_names import FAULTS_MATRIX, FAULTS_PAGE
 from hil.support.atomic_files import check_file
 
 if TYPE_CHECKING:
-    from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts
+    from hil.fault_matrix import Cell, CellVerdict, KeptVerdicts
 
 
 @click.command()
@@ -91,7 +91,7 @@ def command(
     if configuration:
         asked = Asked(quick, seeds, only, moments, plants, count, request.bench)
         return _configuration(asked, workers, out, resume, as_json)
-    from hil.procedure.faults import KeptVerdicts, missing, run_cell, summary, write_faults, write_page
+    from hil.fault_matrix import KeptVerdicts, missing, run_cell, summary, write_faults, write_page
 
     began = datetime.now(timezone.utc).isoformat(timespec="seconds")
     bench = request.bench
@@ -135,9 +135,9 @@ def command(
 
 def _configuration(asked: Asked, workers: int, out: Path, resume: bool, as_json: bool) -> int:
     """Run the campaign of wrong values; by default on both physics, in its short form on one."""
+    from hil.campaign import parse_seeds
     from hil.cli.wrong_values import refuse_others, run_wrong_values
-    from hil.procedure.campaign import parse_seeds
-    from hil.procedure.faults import PLANTS
+    from hil.fault_matrix import PLANTS
 
     refuse_others(
         {
@@ -168,8 +168,8 @@ def _judge(
     kept: KeptVerdicts,
 ) -> None:
     """Run these cells, report progress, and store every verdict at once, also in `there`."""
-    from hil.procedure.campaign import spread
-    from hil.procedure.faults import lost
+    from hil.campaign import spread
+    from hil.fault_matrix import lost
 
     count = 0
     with reporting() as report:
@@ -190,9 +190,9 @@ def _judge(
 def _cells(asked: Asked) -> tuple[Cell, ...]:
     """The selected cells; raises `UsageError` for an unknown name or a bench with real devices."""
     from hil.bench import check_faults, supported_faults
+    from hil.campaign import parse_seeds
     from hil.config.loading import load_bench
-    from hil.procedure.campaign import parse_seeds
-    from hil.procedure.faults import MOMENTS, PLANTS, cells_of, quick_cells, random_cells
+    from hil.fault_matrix import MOMENTS, PLANTS, cells_of, quick_cells, random_cells
 
     worlds = parse_seeds(asked.seeds)
     moments = _known("--moments", asked.moments, tuple(MOMENTS))
@@ -242,7 +242,7 @@ def _shown(asked: Asked) -> str:
 
 
 def _json(verdicts: Sequence[CellVerdict], table: Path, page: Path) -> dict[str, object]:
-    from hil.procedure.faults import told_rows
+    from hil.fault_matrix import told_rows
 
     return {
         "cells": len(verdicts),

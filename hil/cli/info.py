@@ -19,8 +19,8 @@ from hil.cli.progress import reporting
 from hil.core.errors import EXIT_PASS, EXIT_USAGE, Aborted, HilError
 from hil.support.arithmetic_fingerprint import fingerprint
 from hil.support.extras import MODULES, packages, why_unusable
+from hil.support.interrupt_signals import handled_by
 from hil.support.progress import Report
-from hil.support.stop_signals import handled_by
 from hil.support.versions import version_of
 
 _COMPILING = "compiling numerical kernels"
@@ -42,8 +42,8 @@ def _load(part: str) -> None:
     from hil.calibration.residual_pass import load_pass
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
+    from hil.estimator.sigma_points import points_of
     from hil.estimator.smoother import load_smoother
-    from hil.estimator.unscented import points_of
     from hil.support.numba_jit import PROGRESS
 
     PROGRESS.setLevel(logging.ERROR)  # the command reports its own progress

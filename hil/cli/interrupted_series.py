@@ -10,7 +10,7 @@ from types import FrameType
 import click
 
 from hil.core.errors import Aborted, DataError
-from hil.support.stop_signals import handled_by
+from hil.support.interrupt_signals import handled_by
 
 
 @contextmanager

@@ -72,7 +72,7 @@ def command(
     from hil.live import LivePlan, LiveSession
     from hil.live.held_keys import CLOSED, LET_GO_S, HeldKeys, key_by_key
     from hil.live.jog import BodyKeys
-    from hil.support.stop_signals import StopRequest
+    from hil.support.interrupt_signals import StopRequest
 
     if (wheel is not None) + (steer is not None) + body != 1:
         raise UsageError("hil jog moves one thing", expected="one of --wheel NAME, --steer NAME and --body")

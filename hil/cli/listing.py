@@ -11,8 +11,8 @@ import click
 
 from hil.cli.completion_types import BENCH
 from hil.cli.options import JSON
-from hil.core.choices import ESTIMATORS
 from hil.core.errors import EXIT_PASS
+from hil.core.known_names import ESTIMATORS
 
 _ESTIMATORS_IN_WORDS = {
     "odometry": "wheels alone, no filter",

@@ -13,6 +13,7 @@ import click
 
 from hil.cli import start_question
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.closed_output import Answered, print_end, unreadable
 from hil.cli.options import (
     FILE,
     JSON,
@@ -21,11 +22,10 @@ from hil.cli.options import (
     rerun_option,
     say_rerun_files,
 )
-from hil.cli.output import Answered, print_end, unreadable
 from hil.cli.ros2_options import published
 from hil.cli.session_folder import SessionFolder, out_option
-from hil.core.choices import ESTIMATORS
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
+from hil.core.known_names import ESTIMATORS
 from hil.support.atomic_files import check_new_file
 
 if TYPE_CHECKING:
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from hil.live.reference_files import MakeTrajectory
     from hil.live.ros2_program import Ros2Program
     from hil.monitor import RerunMonitor
-    from hil.procedure.bench_request import BenchSource
+    from hil.procedure.bench_source import BenchSource
     from hil.recording.mcap_writer import McapRecorder, OnFailure
     from hil.robot.trajectories import Trajectory
     from hil.ros2.publisher import Ros2Publisher
-    from hil.support.stop_signals import StopRequest
+    from hil.support.interrupt_signals import StopRequest
 
 
 @click.command()
@@ -129,7 +129,7 @@ def command(
     """
     from hil.bench import make_bench_model
     from hil.live import LivePlan, LiveSession, load_trajectory
-    from hil.support.stop_signals import StopRequest
+    from hil.support.interrupt_signals import StopRequest
 
     if request.ros2_topic and commands != "none":
         raise UsageError(f"--command and --controller {request.controller} would both move the robot")
@@ -269,7 +269,7 @@ def drive(session: LiveSession, folder: SessionFolder | None, view: str | None, 
         view: where Rerun shows it; None for nowhere.
         as_json: True to print one JSON object.
     """
-    from hil.bench.hold.result import seen_in_words
+    from hil.bench.hold.verdict import seen_in_words
 
     bench = session.bench
     if folder is not None:
@@ -336,7 +336,7 @@ def _report(session: LiveSession, folder: SessionFolder | None, *, as_json: bool
 
 
 def _text(summary: dict[str, Any]) -> str:
-    from hil.bench.hold.result import held_in_words
+    from hil.bench.hold.verdict import held_in_words
     from hil.core.event_rows import event_lines
 
     timing = summary["timing"]

@@ -171,7 +171,7 @@ class SuggestingGroup(click.Group):
         """Like click's, with a suggestion for an unknown command, except during shell completion."""
         name, known = args[0], self.list_commands(ctx)
         if name not in known and not (name.startswith("-") or ctx.resilient_parsing):
-            from hil.cli.mistyped import hint_for_command
+            from hil.cli.suggestions import hint_for_command
 
             ctx.fail(f"no such command {name!r}; {hint_for_command(name, known)}")
         return super().resolve_command(ctx, args)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from hil.bench.by_hand import Hand
     from hil.config.bench import BenchConfig
     from hil.core.interfaces import Sink
+    from hil.procedure.interrupts import Interrupts
     from hil.procedure.operator import Operator
-    from hil.procedure.stop_requests import Interrupts
 
 answers_option = click.option(
     "--answers",
@@ -77,8 +77,8 @@ def at_the_terminal() -> Hand:
 
 def asked_to_end() -> Interrupts:
     """Signal handling: a person's Ctrl-C gives the step a moment to end, SIGINT of a program all its time."""
+    from hil.procedure.interrupts import PATIENCE_S, Interrupts
     from hil.procedure.operator import tell
-    from hil.procedure.stop_requests import PATIENCE_S, Interrupts
 
     return Interrupts(tell, None if progress.for_a_program() else PATIENCE_S)
 

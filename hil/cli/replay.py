@@ -22,12 +22,12 @@ from hil.cli.options import (
     say_rerun_files,
     truth_options,
 )
-from hil.cli.output import error_as_json
-from hil.core.choices import ALIGNMENTS, COMPARED
+from hil.cli.closed_output import error_as_json
+from hil.core.known_names import ALIGNMENTS, COMPARED
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 if TYPE_CHECKING:
-    from hil.bench.model import BenchModel
+    from hil.bench.pipelines import BenchModel
     from hil.datasets.azimuth_coupling import Coupling
     from hil.datasets.truth_files import TruthFile
     from hil.loop.driven_motion import Motion

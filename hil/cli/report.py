@@ -10,7 +10,7 @@ import click
 from hil.cli.completion_types import RESULTS
 from hil.cli.options import JSON, OUT
 from hil.core.errors import shown_path
-from hil.core.result_files import COMPARISON
+from hil.core.result_names import COMPARISON
 
 
 @click.command()
@@ -26,7 +26,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     """
     from hil.report.compare_campaigns import is_campaign
     from hil.report.compare_page import compare, comparison_text, write_compare_page
-    from hil.report.result_file import own_file, read_result
+    from hil.report.result_reader import own_file, read_result
     from hil.report.run_page import write_run_page
     from hil.support.file_reading import printable
 

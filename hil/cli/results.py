@@ -13,7 +13,7 @@ import click
 from hil.cli.completion_types import PROCEDURE, RUN
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, shown_path
-from hil.core.result_files import TRENDS
+from hil.core.result_names import TRENDS
 
 if TYPE_CHECKING:
     from hil.report.history.index import Kept
@@ -236,7 +236,7 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
     from hil.report.history.page import headline, write_trends_page
     from hil.report.history.query import chosen
     from hil.report.history.series import ALARMS, groups
-    from hil.report.result_file import own_file
+    from hil.report.result_reader import own_file
     from hil.support.file_reading import printable
 
     found = groups(chosen(find_results(where), procedure=procedure, bench=bench, within=True))

@@ -13,18 +13,18 @@ import click
 
 from hil.cli import start_question
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.closed_output import kept_for_json, print_end, print_user_calls
 from hil.cli.completion_types import SCRIPT
 from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
-from hil.cli.output import kept_for_json, print_end, print_user_calls
 from hil.cli.progress import reporting
 from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.cli.ros2_options import published
 from hil.core.clock import local_time
 from hil.core.errors import HilError, shown_path
-from hil.core.result_files import JOURNAL
+from hil.core.result_names import JOURNAL
 
 if TYPE_CHECKING:
-    from hil.procedure.result_files import Result
+    from hil.procedure.result_writer import Result
     from hil.recording.mcap_writer import OnFailure
 
 
@@ -179,7 +179,7 @@ def _untested(result: Result) -> str:
 def _report_of(result: Result) -> tuple[str | None, int]:
     """Path of the report, None if it cannot be written, and the exit code of the run."""
     from hil.core.errors import HilError
-    from hil.procedure.result_files import KEEPING
+    from hil.procedure.result_writer import KEEPING
     from hil.report.run_page import write_run_page
 
     if any(e.step == KEEPING for e in result.teardown_errors):
@@ -209,7 +209,7 @@ def _plan_text(plan: dict[str, Any]) -> str:
 
 def text_of(result: Result) -> str:
     """A result as text: what ended the run, then the measurements, and the verdict."""
-    from hil.bench.hold.result import held_in_words
+    from hil.bench.hold.verdict import held_in_words
     from hil.core.event_rows import event_lines
     from hil.report.pages import digits_of
     from hil.support.file_reading import printable

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import OUT
-from hil.core.result_files import LIVE_RECORDING, SESSION
+from hil.core.result_names import LIVE_RECORDING, SESSION
 from hil.support.atomic_files import check_new_file, put_whole, refused
 
 if TYPE_CHECKING:

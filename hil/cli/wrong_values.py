@@ -10,7 +10,7 @@ import click
 
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, shown_path
-from hil.core.result_files import WRONG_VALUES_TABLE
+from hil.core.result_names import WRONG_VALUES_TABLE
 from hil.support.atomic_files import check_file
 
 
@@ -35,8 +35,8 @@ def run_wrong_values(
         out: folder of the table.
         as_json: True for JSON on stdout.
     """
-    from hil.procedure.campaign import spread
-    from hil.procedure.wrong_values import Verdict, cases_of, judged, lost, summary, write_pages
+    from hil.campaign import spread
+    from hil.fault_matrix.wrong_values import Verdict, cases_of, judged, lost, summary, write_pages
 
     cases = [
         case for key in only or ("",) for case in cases_of(plants=plants, seeds=seeds, quick=quick, only=key)

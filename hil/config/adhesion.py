@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.device import DeviceConfig
+from hil.config.field_types import PolePairs, Switch, Within
 from hil.config.parameter import Parameter, instead, times
-from hil.config.values import PolePairs, Switch, Within
 from hil.robot.motor_cross_checks import DROOP, MotorRatings
 
 VESC_ID = "VESC id"

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
-from hil.config.common_sections import (
+from hil.config.bench_sections import (
     AlignmentConfig,
     EmulationConfig,
     ExitConfig,
@@ -22,12 +22,12 @@ from hil.config.control import ControlConfig
 from hil.config.device import DeviceConfig
 from hil.config.environment import EnvironmentConfig
 from hil.config.estimator import EstimatorConfig
+from hil.config.field_types import Strict, Switch
 from hil.config.mocap import MocapConfig
 from hil.config.monitor import MonitorConfig
 from hil.config.robot import RobotConfig
 from hil.config.ros2 import Ros2Config
 from hil.config.servos import ServosConfig
-from hil.config.values import Strict, Switch
 from hil.core.device import DeviceKind, DeviceModel
 from hil.core.errors import ConfigError
 from hil.core.registry import added, base_of, kinds

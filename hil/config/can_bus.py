@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field
 
 from hil.config.device import DeviceConfig
-from hil.config.values import Patience, Within
+from hil.config.field_types import Patience, Within
 from hil.support.emulated_can_mark import bus_name
 
 _ONE_READER = ("canalystii", "cantact", "gs_usb", "robotell", "seeedstudio", "serial", "slcan")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from hil.config.can_bus import CanConfig
-from hil.config.values import Patience, Within
+from hil.config.field_types import Patience, Within
 
 HIGHEST_DUTY = 0.95
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from hil.config.values import HeadingLimit, Strict, Switch, WheelRate, Within
-from hil.core.choices import LawName
+from hil.config.field_types import HeadingLimit, Strict, Switch, WheelRate, Within
+from hil.core.known_names import LawName
 
 Gain = Annotated[
     float, Within(0.01, 100.0, "1/s; 0 corrects nothing, beyond 100 a loop of 100 Hz overshoots")

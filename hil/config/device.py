@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
+from hil.config.field_types import Delay, Strict, UnitQuaternion, Within
 from hil.config.parameter import TURNED, Parameter, plus, times
-from hil.config.values import Delay, Strict, UnitQuaternion, Within
 
 Metres = Annotated[float, Within(-5.0, 5.0, "m in the body")]
 Position = tuple[Metres, Metres, Metres]

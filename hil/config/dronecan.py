@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from hil.config.adhesion import MotorConfig
 from hil.config.can_bus import Claim
-from hil.config.values import Within
+from hil.config.field_types import Within
 
 _NODE = "DroneCAN node"
 NodeId = Annotated[int, Within(1, 127, "node ids of DroneCAN")]

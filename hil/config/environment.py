@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from hil.config.field_types import Angle, Strict, Within
 from hil.config.parameter import Parameter, instead
-from hil.config.values import Angle, Strict, Within
 
 FLOOR_TILT_RAD = 0.1
 """A steeper surface counts as a wall, with its guards: a robot whose wheels lose their grip slides there."""

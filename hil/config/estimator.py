@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, model_validator
 
-from hil.config.values import Strict, Switch, Within
-from hil.core.choices import EstimatorName
+from hil.config.field_types import Strict, Switch, Within
 from hil.core.errors import ConfigError
+from hil.core.known_names import EstimatorName
 
 Share = Annotated[float, Within(-1.0, 1.0, "m or rad per rolled m")]
 PerMetre = tuple[Share, Share, Share]

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from hil.config.device import ImuConfig, Position
-from hil.config.values import Baud, Delay, Freshness, Patience, Switch, Within
+from hil.config.field_types import Baud, Delay, Freshness, Patience, Switch, Within
 
 Byte = Annotated[int, Within(0, 255, "a register")]
 

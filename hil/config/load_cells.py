@@ -10,8 +10,8 @@ from pydantic import Field
 
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.device import DeviceConfig
+from hil.config.field_types import Baud, FrameOffset, Patience, Within
 from hil.config.parameter import Parameter, plus, signs, times
-from hil.config.values import Baud, FrameOffset, Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
 _SHIPPED_FRAME = 0x1B0

@@ -17,10 +17,10 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
-from hil.config.consistency import contradictions
 from hil.config.robot_record.overlay import apply_record, check_record
 from hil.config.several_devices import devices_in, further_in, resolve_device, spread
 from hil.config.shipped_profiles import profile_names, profile_text
+from hil.config.table_consistency import contradictions
 from hil.core.errors import ConfigError, HilError, did_you_mean, did_you_mean_file
 from hil.core.registry import kinds
 from hil.support.atomic_files import check_name

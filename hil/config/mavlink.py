@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import AfterValidator
 
 from hil.config.device import Position, TrackerConfig
-from hil.config.values import Baud, Freshness, MostKept, Patience, PosesAgain, Within
+from hil.config.field_types import Baud, Freshness, MostKept, Patience, PosesAgain, Within
 
 PoseFrame = Literal["LOCAL_FRD", "LOCAL_FLU", "LOCAL_NED", "LOCAL_ENU"]
 BodyAxes = Literal["FRD", "FLU"]

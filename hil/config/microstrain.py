@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from hil.config.device import ImuConfig, Position
-from hil.config.values import Baud, Freshness, Patience, Switch, UnitQuaternion, Within
+from hil.config.field_types import Baud, Freshness, Patience, Switch, UnitQuaternion, Within
 
 BITS_PER_BYTE = 10
 """Bits of a byte on a serial line: start, eight of data, stop."""

@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from hil.config.device import DeviceConfig
+from hil.config.field_types import Delay, Freshness, NetworkPort, Patience, PosesAgain, Within
 from hil.config.parameter import Parameter, instead
-from hil.config.values import Delay, Freshness, NetworkPort, Patience, PosesAgain, Within
 
 Body = Annotated[str | int, Within(0, 2**31 - 1, "a streaming id of Motive")]
 

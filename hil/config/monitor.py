@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from hil.config.device import Position
-from hil.config.values import Strict, UnitQuaternion, Within
+from hil.config.field_types import Strict, UnitQuaternion, Within
 
 MESHES = (".glb", ".gltf", ".obj", ".stl")
 

@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from hil.config.environment import LEAST_FRICTION
+from hil.config.field_types import RECORDED, Strict, Within
 from hil.config.parameter import Parameter, signs, times
-from hil.config.values import RECORDED, Strict, Within
 from hil.core.geometry import Array
 from hil.robot.statics import GRAVITY_M_S2, Statics
 

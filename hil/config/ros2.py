@@ -8,8 +8,8 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from hil.config.values import Strict, Within
-from hil.core.choices import HIGHEST_DOMAIN, DistributionName
+from hil.config.field_types import Strict, Within
+from hil.core.known_names import HIGHEST_DOMAIN, DistributionName
 
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 

@@ -7,10 +7,16 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hil.config.device import DeviceConfig
+from hil.config.field_types import Patience, Switch, WheelRate, Within
 from hil.config.parameter import Parameter, order
 from hil.config.servo_models import ServoModel, model_text, models_text, servo_models
-from hil.config.servo_models.codes import BAUD_CODES, CURRENT_POSITION, EXTENDED, POSITION, WATCHDOG_STEP_S
-from hil.config.values import Patience, Switch, WheelRate, Within
+from hil.config.servo_models.x_series_codes import (
+    BAUD_CODES,
+    CURRENT_POSITION,
+    EXTENDED,
+    POSITION,
+    WATCHDOG_STEP_S,
+)
 
 Id = Annotated[int, Within(0, 252, "IDs of a DYNAMIXEL bus")]
 Ids = tuple[Id, Id, Id, Id]

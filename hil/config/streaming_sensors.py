@@ -8,7 +8,7 @@ from pydantic import Field
 
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.device import DeviceConfig
-from hil.config.values import Baud, Delay, Freshness, Patience, Within
+from hil.config.field_types import Baud, Delay, Freshness, Patience, Within
 
 Rate = Annotated[float, Within(0.1, 10_000.0, "samples per second")]
 

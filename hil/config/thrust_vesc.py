@@ -11,9 +11,9 @@ from pydantic import Field, field_validator
 from hil.config.adhesion import VESC_ID, VescConfig, VescId
 from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
+from hil.config.field_types import PolePairs, Within
 from hil.config.parameter import Parameter, instead, times
 from hil.config.thrust import ThrustConfig
-from hil.config.values import PolePairs, Within
 from hil.robot.motor_cross_checks import MotorRatings
 
 MOST_CONTROLLERS = 4

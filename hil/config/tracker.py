@@ -7,7 +7,16 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from hil.config.device import Position, TrackerConfig
-from hil.config.values import Freshness, MostKept, NetworkPort, Patience, PosesAgain, Strict, Switch, Within
+from hil.config.field_types import (
+    Freshness,
+    MostKept,
+    NetworkPort,
+    Patience,
+    PosesAgain,
+    Strict,
+    Switch,
+    Within,
+)
 
 
 class FeedEndpoint(Strict):

@@ -94,7 +94,7 @@ def start(root: Path, words: Sequence[str], title: str) -> Job:
     reported = {"words": job.words, "title": title, "started": job.started}
     (folder / COMMAND).write_text(json.dumps(reported), encoding="utf-8")
     os.mkfifo(folder / STDIN, 0o600)
-    detached("hil.console.job_launcher", folder)
+    detached("hil.console.job_process", folder)
     return job
 
 

@@ -24,7 +24,7 @@ from hil.console.stop_server import asset
 from hil.console.web_server import NAMES, Refused, Reply, Request, Route, as_json
 from hil.core.errors import DataError, HilError, reason_of
 from hil.core.registry import kinds
-from hil.core.result_files import TRENDS
+from hil.core.result_names import TRENDS
 from hil.report.history.index import find_results
 from hil.report.history.opening import PAGES as RESULT_PAGES
 from hil.report.history.opening import page_of
@@ -252,7 +252,7 @@ class PageProcess:
     def _trends(self, request: Request) -> Reply:
         from hil.report.history.page import write_trends_page
         from hil.report.history.series import groups
-        from hil.report.result_file import own_file
+        from hil.report.result_reader import own_file
 
         found = chosen(find_results(self._results), within=True)
         write_trends_page(own_file(self._results, TRENDS), groups(found))

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.controller.laws import clip
-from hil.core.choices import JOG
 from hil.core.errors import UsageError
 from hil.core.external_commands import ExternalCommands
 from hil.core.geometry import Array
 from hil.core.interfaces import ExternalController
+from hil.core.known_names import JOG
 from hil.core.signals import SERVOS, CycleRecord, WheelMeasurement, WheelSetpoint
 
 

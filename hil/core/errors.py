@@ -15,8 +15,8 @@ from collections.abc import Iterable
 from numbers import Real
 from pathlib import Path
 
-from hil.core.digits import digits_apart
-from hil.core.suspects import suspects_of
+from hil.core.rounding import digits_apart
+from hil.core.stop_causes import suspects_of
 
 EXIT_PASS = 0
 EXIT_LIMIT_FAILED = 1

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 from hil.core.device import DeviceKind, Figures
-from hil.core.package_errors import PackageError, call_in_package
 from hil.core.signals import Inputs
+from hil.core.third_party_errors import PackageError, call_in_package
 
 LOG = logging.getLogger(__name__)
 

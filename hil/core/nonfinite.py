@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hil.core.device import DeviceKind
-from hil.core.package_errors import OURS
 from hil.core.signals import Status
+from hil.core.third_party_errors import OURS
 
 
 def unmarked_nonfinite_fields(

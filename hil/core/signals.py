@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
-from hil.core.choices import KINDS as KINDS
 from hil.core.errors import UsageError
 from hil.core.external_commands import ExternalCommands
 from hil.core.geometry import Array
-from hil.core.suspects import SEPARATOR
+from hil.core.known_names import KINDS as KINDS
+from hil.core.stop_causes import SEPARATOR
 
 WHEELS = ("FL", "BL", "BR", "FR")
 SERVOS = tuple(f"drive_{w}" for w in WHEELS) + tuple(f"steer_{w}" for w in WHEELS)
@@ -456,7 +456,7 @@ class Event:
     """A reported event: a fault, a rejected sample, a stop, a mode change.
 
     `source` is the kind of the device concerned. Where one of several kinds may be the cause, it lists them
-    all (`hil.core.suspects`).
+    all (`hil.core.stop_causes`).
 
     Attributes:
         distrusts: True if the samples of the source count for nothing from now on, in this run.

@@ -25,9 +25,9 @@ from hil.core.signals import (
     WheelSetpoint,
 )
 from hil.datasets.bag_sensors import between, shifted
-from hil.datasets.dataset import Recording
-from hil.datasets.initial_rest import start_of
 from hil.datasets.sampling import interpolate, truth_window, wheel_edges
+from hil.datasets.start_pose import start_of
+from hil.datasets.wheel_log import Recording
 from hil.loop.alignment import Alignment
 from hil.recording.runs import START_COVARIANCE, RecordedRun, RunStart
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
-from hil.datasets.dataset import Recording
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_ways import Drive, by_truth
 from hil.robot.kinematics import WheelGeometry
 

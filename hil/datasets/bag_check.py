@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hil.core.errors import DataError, reason_of
-from hil.recording.mcap_records import COPY_AGAIN, BagTopic, described_in, ends_early, topic_of
+from hil.recording.mcap_scan import COPY_AGAIN, BagTopic, described_in, ends_early, topic_of
 from hil.support.file_reading import must_be_file
 
 _MCAP, _SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"

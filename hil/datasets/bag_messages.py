@@ -19,7 +19,7 @@ from typing import Any
 from hil.core.errors import DataError, HilError
 from hil.datasets.bag_check import CONVERT, check_bag
 from hil.datasets.unpacking import PACKED, unpacked
-from hil.recording.mcap_records import BagTopic, messages_of
+from hil.recording.mcap_scan import BagTopic, messages_of
 
 STORAGES = (".mcap", ".db3")
 """Suffixes of storage files."""

@@ -25,7 +25,7 @@ from hil.loop.pose_alignment import Mount
 from hil.robot.statics import GRAVITY_M_S2
 
 if TYPE_CHECKING:
-    from hil.datasets.dataset import Recording
+    from hil.datasets.wheel_log import Recording
 
 STATIC = "/tf_static"
 _BEST = 3

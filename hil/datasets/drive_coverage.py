@@ -13,9 +13,9 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.unit_check import rolled_m
+from hil.datasets.wheel_log import Recording
 
 _BRIEF_S = 0.5
 _WORTH_M = 0.01

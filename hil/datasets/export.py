@@ -24,11 +24,11 @@ from hil.core.errors import UsageError
 from hil.core.geometry import Array
 from hil.core.signals import CycleRecord, WheelMeasurement
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, TRUTH_GAP_S, WHEEL_COLUMNS
 from hil.datasets.recording_names import motion_of
 from hil.datasets.sampling import truth_at
+from hil.datasets.wheel_log import Recording, build_recording
 from hil.recording.mcap_reader import read_cycles
 from hil.support.atomic_files import refused, replacing
 from hil.support.extras import how_to_install

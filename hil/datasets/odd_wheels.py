@@ -13,8 +13,8 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
-from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_ways import Complexes, Drive, by_truth, by_wheels, missed, rolling
 from hil.robot.kinematics import WheelGeometry
 

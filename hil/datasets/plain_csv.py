@@ -18,7 +18,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
 from hil.datasets.column_map import ColumnMap, read_columns
-from hil.datasets.dataset import Recording, build_recording
+from hil.datasets.wheel_log import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
 from hil.datasets.partial_rows import hold_unchanged

@@ -18,12 +18,12 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
 from hil.core.signals import WHEELS
 from hil.datasets.cleaning import NO_HEADING, UNIT_QUATERNION, Log, count, credible
-from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
 from hil.datasets.sequence_times import on_period
 from hil.datasets.truth_plane import check_plane
 from hil.datasets.unpacking import read_packed
+from hil.datasets.wheel_log import Recording, build_recording
 
 _NAMES = tuple(f"{w}_Wheel" for w in WHEELS) + tuple(f"{w}_Position" for w in WHEELS)
 _ODOM_COLUMNS = ("time", ".header.stamp.secs", ".header.stamp.nsecs", ".name", ".position", ".velocity")

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hil.core.errors import ConfigError, DataError, UsageError
-from hil.core.wrong_path_hint import meant
+from hil.core.path_hints import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
 from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.changed_wheels import with_changed_wheels
-from hil.datasets.copies import without_copies
-from hil.datasets.dataset import Recording
+from hil.datasets.duplicates import without_copies
+from hil.datasets.wheel_log import Recording
 from hil.datasets.drive_coverage import covered
 from hil.datasets.mapped_recordings import PUBLIC, read_mapped
 from hil.datasets.nominal_robot import Nominal
@@ -25,7 +25,7 @@ from hil.datasets.truth_files import TruthFile
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import NEEDS_TOPICS
-from hil.recording.mcap_records import COPY_AGAIN
+from hil.recording.mcap_scan import COPY_AGAIN
 from hil.support.atomic_files import check_name
 
 _READERS = 2

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hil.datasets.dataset import Recording
+from hil.datasets.wheel_log import Recording
 
 _REPETITION = re.compile(r"_[0-9]+$")
 

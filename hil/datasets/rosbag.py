@@ -23,14 +23,14 @@ from hil.datasets.bag_messages import CDR, STORAGES, opened_bag, storage_files, 
 from hil.datasets.bag_rows import JointRows, TruthPoses
 from hil.datasets.bag_sensors import ImuRows, TrackerRows, check_sensor_times, sensor_log
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.frame_tree import broken_frames
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import motion_of
 from hil.datasets.topic_map import TopicMap, WheelTopic
 from hil.datasets.twist_rows import TwistRows
 from hil.datasets.unpacking import unpacked
-from hil.recording.mcap_records import BagTopic
+from hil.datasets.wheel_log import Recording, build_recording
+from hil.recording.mcap_scan import BagTopic
 
 LOG = logging.getLogger(__name__)
 _POSES = (

@@ -11,7 +11,7 @@ import numpy as np
 from hil.core.errors import DataError, UsageError
 from hil.core.geometry import Array, Bools
 from hil.core.interpolation import between_samples
-from hil.datasets.dataset import Recording
+from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import wheel_vectors
 
 SIGNALS = ("position", "velocity")

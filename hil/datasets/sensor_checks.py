@@ -17,8 +17,8 @@ import numpy as np
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array, quat_rotate
 from hil.core.signals import Inputs, Status
-from hil.datasets.dataset import Recording
 from hil.datasets.sampling import interpolate, wheel_steps
+from hil.datasets.wheel_log import Recording
 from hil.loop.alignment import Alignment
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate

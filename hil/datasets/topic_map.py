@@ -42,7 +42,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hil.config.device import Position
-from hil.config.values import UnitQuaternion, Within
+from hil.config.field_types import UnitQuaternion, Within
 from hil.core.errors import ConfigError
 from hil.datasets.column_map import ColumnMap, Four, Names, Signs, Table
 from hil.support.file_reading import read_toml

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.core.geometry import Array
-from hil.datasets.dataset import Recording
 from hil.datasets.sampling import is_slow
 from hil.datasets.truth_deviations import SCALE_STD, STDS, beyond, beyond_alone, significant, typical
 from hil.datasets.truth_fit import TruthFit, truth_fit
+from hil.datasets.wheel_log import Recording
 
 _LATE_S, _PERIODS = 0.03, 0.1
 _FAST, _FAST_ALONE = 5e-4, 1e-3

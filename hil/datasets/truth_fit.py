@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.geometry import Array, Bools
-from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S, interpolate, is_slow, wheel_steps
+from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate
 

@@ -16,8 +16,8 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
 from hil.core.signals import WHEELS
-from hil.datasets.blocks import reduce_recordings
-from hil.datasets.dataset import Recording
+from hil.datasets.fit_blocks import reduce_recordings
+from hil.datasets.wheel_log import Recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.odd_wheels import check_odd_wheels
 from hil.datasets.strides import BLOCK_S, LEAST_ROLLED_RAD, Strides

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from hil.config.can_bus import CanConfig
 from hil.config.device import DeviceConfig, MountedConfig, Position
+from hil.config.field_types import Baud, Delay, Freshness, Patience, Within
 from hil.config.streaming_sensors import CanSensorConfig, SerialSensorConfig, StreamConfig
-from hil.config.values import Baud, Delay, Freshness, Patience, Within
 from hil.core.device import Connection, DeviceKind, DeviceModel, Figures, Force, Found, Plot, Search, Topic
 from hil.core.finding import Finding, Level
 from hil.core.geometry import Array

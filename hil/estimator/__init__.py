@@ -33,7 +33,7 @@ def make_estimator(
         return OdometryEstimator(config, geometry, surface)
     from hil.estimator.fusion import FilterBackend, FusionEstimator, NumbaFilter
     from hil.estimator.kernel_layout import parameters
-    from hil.estimator.unscented import points_of
+    from hil.estimator.sigma_points import points_of
 
     given = parameters(config, geometry, surface)
     engine: FilterBackend

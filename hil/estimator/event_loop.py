@@ -39,8 +39,8 @@ from hil.estimator.sensors import (
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
+from hil.estimator.sigma_points import Points, advance_unscented, moments_unscented
 from hil.estimator.state_vector import STATES
-from hil.estimator.unscented import Points, advance_unscented, moments_unscented
 from hil.support.numba_jit import inner, kernel
 
 NONE_ACCEPTED = -1.0

@@ -24,6 +24,7 @@ from hil.estimator.initial_state import start_of
 from hil.estimator.kernel_layout import MEMORY, MEMORY_FLOATS, PARAMETERS, States, first_memory
 from hil.estimator.measurement_queue import REASONS, MeasurementQueue
 from hil.estimator.sensors import SENSORS
+from hil.estimator.sigma_points import Points
 from hil.estimator.state_vector import (
     BIAS,
     CREEP_X,
@@ -38,7 +39,6 @@ from hil.estimator.state_vector import (
     TWIST,
     YAW_SLIP,
 )
-from hil.estimator.unscented import Points
 from hil.robot.kinematics import WheelGeometry
 from hil.support.numba_jit import compile_for, plain
 

@@ -50,7 +50,7 @@ class Work(Record):
         nu, shown, nis: innovations, a copy from before the update, and normalised innovations squared.
         before: state before the update.
         rolling: velocity measured by the wheels, m/s.
-        root, up, down, high, low, centre, offset, odd, even: scratch memory of `hil.estimator.unscented`.
+        root, up, down, high, low, centre, offset, odd, even: scratch memory of `hil.estimator.sigma_points`.
     """
 
     z: Rows

@@ -24,7 +24,7 @@ from hil.core.errors import UsageError
 from hil.core.geometry import Array, wrap_array
 from hil.core.signals import Measurements, RobotState, sensors_with_samples
 from hil.estimator import make_estimator
-from hil.estimator.consistency import nees
+from hil.estimator.nees import nees
 from hil.robot.kinematics import WheelGeometry
 from hil.support.file_reading import put_dotted
 from hil.support.progress import Report, silent

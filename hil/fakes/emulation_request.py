@@ -16,7 +16,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from hil.config.values import bounds_of
+from hil.config.field_types import bounds_of
 from hil.core.errors import ConfigError, did_you_mean
 from hil.fakes.world import World
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.choices import JOG
 from hil.core.external_commands import ExternalCommand, ExternalCommands
 from hil.core.interfaces import CommandingSink
+from hil.core.known_names import JOG
 from hil.core.signals import CycleRecord
 from hil.live.held_keys import HeldKeys
 from hil.live.velocity_input import CommandLines

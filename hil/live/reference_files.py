@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.core.errors import DataError, UsageError, reason_of
 from hil.core.geometry import Array
-from hil.core.package_errors import of_a_script
+from hil.core.third_party_errors import of_a_script
 from hil.robot.trajectories import Trajectory, through
 from hil.support.file_reading import read_text
 from hil.support.script_file import run_file

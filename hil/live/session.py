@@ -32,7 +32,7 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
 from hil.robot.paths import Segment, Straight
 from hil.robot.trajectories import Trajectory
-from hil.support.stop_signals import StopRequest
+from hil.support.interrupt_signals import StopRequest
 
 _SETTLE_S = 0.5
 HOLD_S = 2.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.core.errors import SafetyStop
 from hil.core.signals import Event, Inputs, Measurements, WheelSetpoint
-from hil.core.suspects import together
+from hil.core.stop_causes import together
 from hil.loop.checks.damaged_reports import DamagedReports
 from hil.loop.checks.disagreement import WHEELS
 from hil.loop.checks.disagreement_response import AgreementCheck
@@ -34,7 +34,7 @@ from hil.loop.checks.servos import ServoCheck
 from hil.loop.checks.slide import SlideCheck
 from hil.loop.checks.state_valid import ObserverCheck, UsableCheck
 from hil.loop.cycle_data import NO_INFLATION, Check, Cycle, LastCycle
-from hil.loop.safety import Checks, SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 
 
 class Supervisor:

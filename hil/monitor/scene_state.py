@@ -19,9 +19,9 @@ import numpy as np
 from hil.core.clock import NS_PER_S
 from hil.core.device import DeviceKind, Force
 from hil.core.geometry import Array, between, se2_log
-from hil.core.package_errors import PackageError, call_in_package
 from hil.core.registry import further, kinds
 from hil.core.signals import CycleRecord, Inputs
+from hil.core.third_party_errors import PackageError, call_in_package
 from hil.monitor import solid_geometry
 from hil.monitor.scene import Scene
 

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 from hil.support.first_use import on_first_use
 
 if TYPE_CHECKING:
-    from hil.procedure.bench_request import BenchSource
+    from hil.procedure.bench_source import BenchSource
     from hil.procedure.context import Context
     from hil.procedure.declaration import PlannedStep, Procedure, procedure
     from hil.procedure.measurements import Measurement, Verdict
 else:
     _OFFERED = {
-        "BenchSource": "hil.procedure.bench_request",
+        "BenchSource": "hil.procedure.bench_source",
         "Context": "hil.procedure.context",
         "Measurement": "hil.procedure.measurements",
         "PlannedStep": "hil.procedure.declaration",

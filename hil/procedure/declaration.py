@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError, UsageError, did_you_mean
-from hil.core.package_errors import of_a_script
 from hil.core.registry import kinds
+from hil.core.third_party_errors import of_a_script
 from hil.procedure.measurements import Measurement, check_unique
 from hil.procedure.parameters import check_model
 from hil.robot.trajectories import Trajectory

@@ -12,9 +12,9 @@ from hil.bench.third_party.call_timeout import with_time_limit
 from hil.core.clock import nanoseconds
 from hil.core.interfaces import Sink
 from hil.core.kind_figures import KindFigures
-from hil.core.package_errors import OURS
 from hil.core.registry import kinds, sample_names
 from hil.core.signals import CycleRecord
+from hil.core.third_party_errors import OURS
 from hil.procedure.figure_rows import DrivenRows
 
 if TYPE_CHECKING:

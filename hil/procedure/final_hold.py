@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from hil.core.errors import HilError
 from hil.procedure.run_journal import Entry, Journal
-from hil.procedure.step_timer import StepTimer
+from hil.procedure.run_sinks import StepTimer
 
 if TYPE_CHECKING:
-    from hil.bench.hold.result import Held
+    from hil.bench.hold.verdict import Held
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class HoldRecord:
                 self._take_again(entry)
 
     def _take_again(self, entry: Entry) -> None:
-        from hil.bench.hold.result import Held
+        from hil.bench.hold.verdict import Held
 
         self.events += entry["events"]
         held = Held(entry["state"], entry["moved_m"], entry["why"], entry["wanted"])

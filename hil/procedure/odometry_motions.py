@@ -16,10 +16,10 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array, ArrayLike, rotation2
 from hil.core.signals import KINDS
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.drive_coverage import covered
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
+from hil.datasets.wheel_log import Recording, build_recording
 from hil.loop.driven_motion import Motion
 from hil.procedure.needed_devices import leaving
 from hil.procedure.scripted_joints import Stretch, play

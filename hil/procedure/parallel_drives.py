@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from hil.core.call_chain import keep_chain
 from hil.core.clock import NS_PER_S
 from hil.core.errors import DataError, HilError, RecordingError
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.histories import Histories
 from hil.recording.mcap_writer import McapRecorder, OnFailure
 
 if TYPE_CHECKING:
     from hil.bench import Bench
-    from hil.bench.hold.result import Held
+    from hil.bench.hold.verdict import Held
 
 Result = TypeVar("Result")
 

@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from hil.core.errors import ConfigError, UsageError, did_you_mean
-from hil.core.package_errors import of_a_script
+from hil.core.third_party_errors import of_a_script
 from hil.support.file_reading import json_value
 
 BENCH_PREFIX = "bench."

@@ -12,8 +12,8 @@ from types import ModuleType
 
 import hil
 from hil.core.errors import ConfigError, did_you_mean, did_you_mean_file
+from hil.core.path_hints import is_tests, meant
 from hil.core.registry import kinds
-from hil.core.wrong_path_hint import is_tests, meant
 from hil.procedure.declaration import Procedure
 from hil.procedure.shipped import SHIPPED_FOLDER, shipped_names
 from hil.support.atomic_files import check_name

@@ -18,7 +18,7 @@ import tomli_w
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord, Spread
 from hil.config.robot_record.overlay import identity, known_parts
 from hil.core.errors import HilError
-from hil.core.result_files import PASSED
+from hil.core.result_names import PASSED
 from hil.procedure.bench_fragment import seal_fragment
 from hil.procedure.context import Context
 from hil.procedure.measurements import Verdict

@@ -14,16 +14,16 @@ from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DataError, RecordingError
 from hil.core.registry import kinds
 from hil.procedure import device_history, fit_history, hold_history, path_history
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.final_hold import HoldRecord
 from hil.procedure.histories import Histories
+from hil.procedure.interrupts import Interrupts
 from hil.procedure.operator import go_ahead
 from hil.procedure.parallel_drives import DriveJob, Driven, Result, Sent, driven
 from hil.procedure.run_journal import PastRun
 from hil.procedure.run_options import RunOptions
 from hil.procedure.run_outputs import RunOutputs, slug
-from hil.procedure.step_timer import RunRecorder, StepTimer
-from hil.procedure.stop_requests import Interrupts
+from hil.procedure.run_sinks import RunRecorder, StepTimer
 from hil.procedure.worker_processes import Workers
 from hil.recording.mcap_writer import OnFailure
 
@@ -230,7 +230,7 @@ class RunBenches:
             taken = [s.recording for s in sent]
             path = self._recordings.path(job.label, taken) if job.label else None
             sent.append(Sent(job, path, self._recordings.on_failure))
-        from hil.bench.hold.result import abandoned
+        from hil.bench.hold.verdict import abandoned
 
         waiting = [(self.left.begin(one.job.label), one.recording) for one in sent]
         failed = False

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.config.bench import BenchConfig
-from hil.config.recorded import changed_since
+from hil.config.unchecked import changed_since
 from hil.core.errors import ConfigError, RecordingError, reason_of
 from hil.recording.mcap_writer import OnFailure
 from hil.support.file_reading import json_object, read_bytes

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.clock import Clock
+from hil.procedure.interrupts import Interrupts
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.run_outputs import Keep
-from hil.procedure.stop_requests import Interrupts
 from hil.recording.mcap_writer import OnFailure
 from hil.support.progress import Report, silent
 

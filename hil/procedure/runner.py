@@ -15,15 +15,16 @@ from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S
 from hil.core.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
-from hil.core.result_files import JOURNAL, RESULT
-from hil.procedure.bench_request import BenchSource
+from hil.core.result_names import JOURNAL, RESULT
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
+from hil.procedure.interrupts import time_limit
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.needed_devices import with_own_devices
 from hil.procedure.parameters import as_dict, described, make_parameters
 from hil.procedure.record_parts import keep_parts
-from hil.procedure.result_files import KEEPING, Failure, Result, write_result
+from hil.procedure.result_writer import KEEPING, Failure, Result, write_result
 from hil.procedure.run_benches import RunBenches
 from hil.procedure.run_journal import (
     SCHEMA,
@@ -37,7 +38,6 @@ from hil.procedure.run_journal import (
 from hil.procedure.run_options import RunOptions
 from hil.procedure.run_outputs import RunOutputs
 from hil.procedure.run_verdict import conclude, facts_of, failure, not_held, without_effect
-from hil.procedure.stop_requests import time_limit
 from hil.robot.motion_limits import check
 from hil.support.atomic_files import make_folder, where_else
 

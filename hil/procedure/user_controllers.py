@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, cast
 
-from hil.core.choices import LAWS
 from hil.core.errors import UsageError, did_you_mean
 from hil.core.interfaces import Controller
-from hil.support.named_class import make_named, maker_of
+from hil.core.known_names import LAWS
+from hil.support.user_class import make_named, maker_of
 
 if TYPE_CHECKING:
-    from hil.bench.model import BenchModel
+    from hil.bench.pipelines import BenchModel
 
 _OPTION = "--controller"
 _PARTS = {"reset": (), "update": ("state", "reference", "wheels")}

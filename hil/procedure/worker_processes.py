@@ -13,7 +13,7 @@ from multiprocessing.pool import Pool
 from types import TracebackType
 from typing import TypeVar
 
-from hil.support.stop_signals import StopRequest
+from hil.support.interrupt_signals import StopRequest
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

@@ -118,7 +118,7 @@ def _devices(text: str) -> str:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the markers; from now on reject real devices that the command line does not name."""
-    from hil.core.opened_benches import guarded_by
+    from hil.core.bench_observers import guarded_by
 
     for line in MARKERS:
         config.addinivalue_line("markers", line)
@@ -219,7 +219,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
     """Register every bench that is opened during a test."""
-    from hil.core.opened_benches import on_bench_opened
+    from hil.core.bench_observers import on_bench_opened
 
     def opened(found: Bench) -> None:
         from hil.pytest_plugin.benches_of_tests import see

@@ -16,7 +16,7 @@ from hil.config.bench import BenchConfig
 from hil.config.several_devices import resolve_device
 from hil.core.errors import HilError, UsageError
 from hil.core.registry import kind_of, kinds, which_device
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.controllers import driven
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from _pytest.terminal import TerminalReporter
 
 from hil.core.errors import HilError, did_you_mean
 from hil.core.registry import kinds
-from hil.procedure.bench_request import BenchSource
-from hil.procedure.faults import is_tested_itself
+from hil.fault_matrix import is_tested_itself
+from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.bench_selection import in_several_processes, source_of, use_source
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Breakage:
 
 def breakages(source: BenchSource) -> list[Breakage]:
     """Return all faults of a bench's emulated devices, and possible defects of the robot itself."""
-    from hil.bench.emulation import supported_faults
+    from hil.bench.emulated_devices import supported_faults
 
     config = source.config
     declared = supported_faults(config)

@@ -30,7 +30,7 @@ from hil.bench.doctor.examination import examine
 from hil.core.errors import DeviceError
 from hil.core.finding import Finding
 from hil.core.registry import base_of
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.bench_selection import plainly, source_of
 
 __all__ = [

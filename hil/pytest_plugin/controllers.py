@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hil.core.choices import HIGHEST_DOMAIN, LAWS, ROS2
 from hil.core.errors import UsageError
-from hil.procedure.bench_request import BenchSource
+from hil.core.known_names import HIGHEST_DOMAIN, LAWS, ROS2
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.user_controllers import check_named
 
 if TYPE_CHECKING:

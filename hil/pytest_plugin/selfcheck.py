@@ -30,7 +30,7 @@ from hil.core.registry import kinds
 from hil.core.signals import SERVOS, Status, worst
 from hil.loop.driven_motion import Motion
 from hil.loop.timing import LoopStatistics
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.bench_selection import plainly, properties, source_of
 from hil.robot.statics import GRAVITY_M_S2
 

@@ -16,7 +16,7 @@ from hil.core.errors import ConfigError, DataError
 from hil.core.signals import CycleRecord
 from hil.recording.cycle_codec import FORMAT, CycleCodec
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, METADATA, PACKAGES
-from hil.recording.mcap_records import COPY_AGAIN, in_place_of, messages_of, records_of
+from hil.recording.mcap_scan import COPY_AGAIN, in_place_of, messages_of, records_of
 from hil.recording.needed_packages import added_kinds
 from hil.recording.topics import TOPICS
 from hil.support.file_reading import json_object

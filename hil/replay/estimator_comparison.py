@@ -14,16 +14,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.config.estimator import EstimatorConfig
-from hil.core.choices import COMPARED, ESTIMATORS
+from hil.core.known_names import COMPARED, ESTIMATORS
 from hil.core.errors import DataError
 from hil.core.geometry import Array, wrap_array
 from hil.core.interfaces import Estimator
-from hil.core.package_errors import of_a_script
+from hil.core.third_party_errors import of_a_script
 from hil.core.signals import CycleRecord, RobotState, sensors_with_samples
 from hil.datasets.sampling import beside_rows, is_slow
-from hil.estimator.consistency import autocorrelation, nees
+from hil.estimator.nees import autocorrelation, nees
 from hil.loop.driven_motion import Motion
 from hil.loop.user_parts import checked_update, reset_estimator
 from hil.recording.runs import RecordedRun
@@ -179,7 +179,7 @@ def table(
 
     Args:
         motions: motions by name.
-        align: alignment of each estimate, one of `hil.core.choices.ALIGNMENTS`.
+        align: alignment of each estimate, one of `hil.core.known_names.ALIGNMENTS`.
         over_m: way over which relative pose errors are taken, m.
     """
     truth = truth_of(next(iter(motions.values()))) if motions else None

@@ -12,18 +12,18 @@ from typing import Any, NoReturn
 import numpy as np
 
 from hil.bench.loop_settings import geometry_of, nominal_of, with_wheel_model
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.calibration.calibration_file import coupling_of, read_calibration
 from hil.calibration.excitation import OTHER_ROBOT, mismatch
 from hil.calibration.usability_check import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.config.recorded import recorded_bench
+from hil.config.unchecked import recorded_bench
 from hil.core.errors import DataError, HilError, UsageError
 from hil.datasets.as_cycles import to_run
 from hil.datasets.azimuth_coupling import Coupling, decoupled
-from hil.datasets.blocks import reduce_recordings
-from hil.datasets.dataset import Recording
+from hil.datasets.fit_blocks import reduce_recordings
+from hil.datasets.wheel_log import Recording
 from hil.datasets.drive_coverage import covered
 from hil.datasets.mapped_recordings import read_mapped
 from hil.datasets.nominal_robot import Nominal

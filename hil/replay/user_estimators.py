@@ -7,13 +7,13 @@ from typing import cast
 
 import numpy as np
 
-from hil.bench.model import BenchModel
-from hil.core.choices import COMPARED
+from hil.bench.pipelines import BenchModel
 from hil.core.errors import UsageError, did_you_mean
 from hil.core.interfaces import Estimator
+from hil.core.known_names import COMPARED
 from hil.loop.checks.state_valid import unusable
 from hil.loop.driven_motion import Motion
-from hil.support.named_class import make_named
+from hil.support.user_class import make_named
 
 _PARTS = {"reset": ("state",), "update": ("measurements",)}
 _EXPECTED = ", ".join(COMPARED) + ", or FILE.py:NAME or MODULE:NAME of your own"

@@ -11,11 +11,11 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.controller.joint_script import SCRIPT, JointScript
-from hil.core.choices import ESTIMATORS, JOG, LAWS, ROS2
 from hil.core.errors import SafetyStop, UsageError
 from hil.core.external_commands import ExternalCommands
+from hil.core.known_names import ESTIMATORS, JOG, LAWS, ROS2
 from hil.core.signals import CycleRecord, Inputs, Reference
 from hil.loop.pipeline import OUTSIDE, ControlPipeline
 from hil.recording.record_comparison import first_difference

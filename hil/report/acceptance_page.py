@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.core.result_files import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
+from hil.core.result_names import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
 from hil.report.pages import environment
 from hil.support.atomic_files import staged
 
@@ -18,7 +18,7 @@ def write_acceptance(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]
 
     Args:
         folder: created if it does not exist.
-        summary: result of `hil.procedure.acceptance.accept`.
+        summary: result of `hil.commission.acceptance.accept`.
 
     Returns:
         The summary with the paths `page`, `data` and `folder` of the written files.

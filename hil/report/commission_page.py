@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from hil.config.robot_record import RobotRecord
 from hil.core.errors import ConfigError
-from hil.core.result_files import COMMISSIONING_PAGE
+from hil.core.result_names import COMMISSIONING_PAGE
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.report.page_figures import figure_image, save_figure
 from hil.report.pages import duration, environment

@@ -17,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import stats
 
 from hil.core.errors import DataError, UsageError
-from hil.core.result_files import CAMPAIGN_TABLE, LOST, PASSED, PLAN
+from hil.core.result_names import CAMPAIGN_TABLE, LOST, PASSED, PLAN
 from hil.report.page_figures import drawn_image
 from hil.report.pages import environment, number
 from hil.report.plot_style import PALETTE, new_figure, style
-from hil.report.result_file import wrong_shape
+from hil.report.result_reader import wrong_shape
 from hil.support.atomic_files import write_text
 from hil.support.file_reading import read_json
 

@@ -2,7 +2,7 @@
 
 A results folder may come from an untrusted source. As an `<img>`, any SVG is only drawn: it runs no script,
 loads nothing and follows no link. Its readings are added separately as validated numbers
-(`hil.report.figure_data`), for the page's own script.
+(`hil.report.hover_data`), for the page's own script.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from xml.parsers import expat
 from markupsafe import Markup
 
 from hil.core.errors import DataError, reason_of
-from hil.report.figure_data import readings_of, taken_out
+from hil.report.hover_data import readings_of, taken_out
 from hil.report.plot_style import PALETTE
 from hil.support.file_reading import read_text
 

@@ -13,7 +13,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from hil.core.digits import digits_apart
+from hil.core.rounding import digits_apart
 from hil.report.page_figures import theme
 
 _PLAIN = 1e6

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.core.geometry import Array, wrap_array
-from hil.estimator.consistency import nees
+from hil.estimator.nees import nees
 from hil.loop.driven_motion import Motion
 from hil.report.overview import Drawn, Overview, Table, write_overview
 from hil.report.pages import number

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.core.digits import digits_apart
+from hil.core.rounding import digits_apart
 from hil.report.pages import as_people_read, limit_words, quantity
 
 _WHEEL = re.compile(r"^(?:steer|drive|wheel)_(FL|BL|BR|FR)$")

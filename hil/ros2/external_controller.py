@@ -14,12 +14,12 @@ from typing import NoReturn
 import numpy as np
 
 from hil.controller.module_layer import ModuleLayer
-from hil.core.choices import ROS2
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import SafetyStop
 from hil.core.external_commands import ExternalCommand, ExternalCommands
 from hil.core.geometry import Array
 from hil.core.interfaces import ExternalController
+from hil.core.known_names import ROS2
 from hil.core.signals import SERVOS, CycleRecord, WheelMeasurement, WheelSetpoint
 from hil.loop.alignment import AlignmentParameters
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
 from hil.config.ros2 import Ros2Config
-from hil.core.choices import HIGHEST_DOMAIN, DistributionName
 from hil.core.errors import ConfigError, UsageError
+from hil.core.known_names import HIGHEST_DOMAIN, DistributionName
 from hil.support.extras import how_to_install, why_unusable
 
 _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"

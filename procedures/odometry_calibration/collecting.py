@@ -9,8 +9,8 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from hil.datasets.dataset import Recording
 from hil.datasets.plain_csv import read_plain
+from hil.datasets.wheel_log import Recording
 from hil.procedure import Context
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
 from hil.procedure.parallel_drives import DriveJob

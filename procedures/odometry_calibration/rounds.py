@@ -23,7 +23,7 @@ from hil.calibration.model_choice import Candidate, Choice, candidates, choose
 from hil.calibration.problem import Setting
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array
-from hil.datasets.dataset import Recording
+from hil.datasets.wheel_log import Recording
 from hil.procedure import Context
 from hil.procedure.record_parts import known_parts
 from hil.robot.kinematics import WheelGeometry

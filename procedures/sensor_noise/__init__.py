@@ -21,8 +21,8 @@ from hil.config.bench import BenchConfig
 from hil.core.errors import DeviceError
 from hil.core.geometry import Array
 from hil.core.signals import Measurements
-from hil.estimator.noise_figures import MEASURED
 from hil.estimator.noise_matching import DrivenRun, match
+from hil.estimator.noise_parameters import MEASURED
 from hil.estimator.sensor_noise import SensorNoise, measure
 from hil.estimator.tuning import with_values
 from hil.loop.driven_motion import Motion

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 
 from hil.config.robot_record import Figure
-from hil.estimator.noise_figures import MEASURED, NOISE_FIGURES, NoiseFigure
+from hil.estimator.noise_parameters import MEASURED, NOISE_FIGURES, NoiseFigure
 from hil.estimator.sensor_noise import SensorNoise
 from hil.procedure import Context
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from hil.cli import main
+from hil.commission import acceptance
+from hil.commission.acceptance import QUESTION, Acceptance, accept
 from hil.config.encoders import SHIPPED_DBC
 from hil.core.errors import Aborted, DeviceError
 from hil.drivers.servos.dynamixel.driver import DynamixelServos
-from hil.procedure import acceptance
-from hil.procedure.acceptance import QUESTION, Acceptance, accept
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.interrupts import Interrupts
 from hil.procedure.operator import Operator
-from hil.procedure.stop_requests import Interrupts
 from hil.report import acceptance_page
 from hil.report.acceptance_page import write_acceptance
 

@@ -5,7 +5,7 @@ import time
 
 from hil.core.clock import MonotonicClock
 from hil.core.errors import UsageError
-from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon.fallback_client import FailoverClient
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.spec import Spec
 

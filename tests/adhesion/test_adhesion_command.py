@@ -17,7 +17,7 @@ import pytest
 from kills import daemon_pid, end_daemon
 
 from hil.bench import fan_commands, fan_interlock, fan_start_check
-from hil.bench.drivers import make_device_set
+from hil.bench.device_set_from_config import make_device_set
 from hil.bench.fan_commands import daemon_spec, daemon_specs
 from hil.cli import main
 from hil.config.loading import load_bench

@@ -23,8 +23,9 @@ from kills import (
 )
 
 from hil.core.clock import MonotonicClock
-from hil.fan_daemon import client, failover
-from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon import client
+from hil.fan_daemon import fallback_client as failover
+from hil.fan_daemon.fallback_client import FailoverClient
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.server import of_another
 

@@ -14,7 +14,7 @@ from test_daemon_process import emulating, written
 
 from hil.core.clock import MonotonicClock
 from hil.fan_daemon import client
-from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon.fallback_client import FailoverClient
 from hil.fan_daemon.fan_control import SetPoint
 from hil.support.emulated_can_mark import Emulation, Mark, is_emulated
 

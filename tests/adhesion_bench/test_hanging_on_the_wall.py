@@ -10,8 +10,8 @@ import hil
 from hil.bench.hold.preload import Preload
 from hil.bench.loop_settings import adhesion_limits, thrust_wanted_n
 from hil.core.errors import DeviceError, SafetyStop, UsageError
-from hil.procedure.faults import cells_of
-from hil.procedure.faults.drive import run_cell
+from hil.fault_matrix import cells_of
+from hil.fault_matrix.drive import run_cell
 from hil.procedure.tracking_errors import enable_hold
 from hil.robot.trajectories import line
 

@@ -9,8 +9,8 @@ from wrong_numbers import BRIEF, Case, drive
 import hil
 from hil.core.clock import nanoseconds
 from hil.core.errors import HilError
+from hil.fault_matrix.possible_hold import LOST_M, can_be_held, slides_m
 from hil.loop.checks.adhesion_limits import SlidePush
-from hil.procedure.faults.possible_hold import LOST_M, can_be_held, slides_m
 from hil.robot.trajectories import line
 
 IN_MOTION_S, IN_THE_CHECK_S = 1.5, 3.6

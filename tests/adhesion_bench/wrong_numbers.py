@@ -12,8 +12,8 @@ import numpy as np
 
 import hil
 from hil.core.errors import HilError
+from hil.fault_matrix.possible_hold import can_be_held
 from hil.faults.fault import parse_fault
-from hil.procedure.faults.possible_hold import can_be_held
 from hil.robot.trajectories import line
 
 FACTORS = (-1.0, 0.3, 0.5, 0.67, 0.8, 0.9, 1.1, 1.2, 1.3, 1.6, 2.0, 3.0, 4.0)

@@ -8,7 +8,7 @@ import pytest
 import hil
 from hil.bench.doctor.discovery import discover
 from hil.bench.doctor.examination import examine
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.emulated_devices import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.config.servo_models import servo_model
 from hil.config.servos import ServosConfig

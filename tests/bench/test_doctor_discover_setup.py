@@ -11,7 +11,7 @@ import pytest
 import hil
 from hil.bench.doctor.discovery import Discovery, discover
 from hil.bench.doctor.examination import examine
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.emulated_devices import build_world, connect_in_process
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.signals import KINDS

@@ -10,7 +10,7 @@ import pytest
 import hil
 from hil.bench.doctor.examination import examine
 from hil.bench.doctor.port_findings import Host
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.emulated_devices import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.signals import KINDS

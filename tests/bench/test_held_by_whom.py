@@ -216,7 +216,7 @@ def test_a_robot_without_load_cells_is_held_by_all_others():
 
 def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
     """What it feels differs from its weight by more than a data sheet allows."""
-    from hil.bench.hold import monitor
+    from hil.bench.hold import hold_check as monitor
 
     monkeypatch.setattr(monitor, "_felt_m_s2", lambda sample: 7.0)
     held, *_ = left(way=HOP, **BRIEFLY)

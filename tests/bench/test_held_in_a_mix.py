@@ -13,7 +13,7 @@ from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import SafetyStop
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.declaration import Measurement, Procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.robot.trajectories import line

@@ -11,8 +11,8 @@ import pytest
 
 import hil
 from hil.bench.bench import Bench
-from hil.bench.drivers import make_device_set, model_of
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.device_set_from_config import make_device_set, model_of
+from hil.bench.emulated_devices import build_world, connect_in_process
 from hil.bench.injection import Injection
 from hil.bench.opening import make_bench_model
 from hil.config.loading import load_bench

@@ -15,7 +15,7 @@ import pytest
 
 from hil.bench.doctor.discovery import what_is_written
 from hil.bench.doctor.protected_ports import ports_that_hold, why_not_asked
-from hil.bench.emulation import build_world
+from hil.bench.emulated_devices import build_world
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig

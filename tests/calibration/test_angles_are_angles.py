@@ -10,9 +10,9 @@ from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
+from hil.datasets.wheel_log import build_recording
 from hil.datasets.wrong_signs import check_signs
 
 COUNT_RAD = 2.0 * np.pi / 4096.0

@@ -15,7 +15,7 @@ from hil.calibration.warnings import beyond_driven, unpredicted, worse_as_twist
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.blocks import reduce_recordings
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings

@@ -8,11 +8,11 @@ import pytest
 from hil.cli import main
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
 from hil.datasets.drive_coverage import covered
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
+from hil.datasets.wheel_log import build_recording
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
 SPEED_M_S = 0.1

@@ -15,7 +15,7 @@ from hil.calibration.solvers import METHODS, interior_point, levenberg_marquardt
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError, UsageError
-from hil.datasets.blocks import reduce_recordings
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.sampling import truth_window
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import WHOLE

@@ -10,7 +10,7 @@ from hil.calibration.identifiability import data_information, group_shift, stand
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.core.clock import MonotonicClock
-from hil.datasets.blocks import reduce_recordings
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.robot.kinematics import WheelGeometry
 
 CAD = WheelGeometry.nominal()

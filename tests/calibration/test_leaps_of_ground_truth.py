@@ -10,9 +10,9 @@ from hil.calibration.synthetic import hidden_robot, make_set, simulate
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
-from hil.datasets.initial_rest import start_of
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.start_pose import start_of
+from hil.datasets.wheel_log import build_recording
 from hil.datasets.wrong_signs import contradictions
 from hil.robot.kinematics import WheelGeometry
 

@@ -7,7 +7,7 @@ import pytest
 
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem
 from hil.calibration.synthetic import hidden_robot, make_set
-from hil.datasets.blocks import reduce_recordings
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.robot.kinematics import WheelGeometry
 
 TYRES = WheelGeometry.nominal().with_tyres([0.5, 1.4, 1.5, 0.6], 0.7)

@@ -14,11 +14,11 @@ from hil.calibration.problem import RECOMMENDED
 from hil.cli.calibrate import _text
 from hil.core.clock import MonotonicClock
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_fit import truth_fit
+from hil.datasets.wheel_log import build_recording
 from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.robot.kinematics import WheelGeometry
 

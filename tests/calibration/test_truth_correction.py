@@ -11,13 +11,13 @@ from hil.calibration.excitation import mismatch
 from hil.calibration.synthetic import OTHER_MOTIONS, HiddenRobot, hidden_robot, make_set
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.datasets.blocks import reduce_recordings
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.truth_correction import corrected, notes_of
 from hil.datasets.truth_fit import truth_fit
+from hil.datasets.wheel_log import build_recording
 from hil.robot.kinematics import WheelGeometry
 
 CAD = WheelGeometry.nominal()

@@ -9,8 +9,8 @@ from hil.calibration.synthetic import hidden_robot, simulate
 from hil.cli import main
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
 from hil.datasets.plain_csv import write_plain
+from hil.datasets.wheel_log import build_recording
 
 DEG = 180.0 / np.pi
 

@@ -5,7 +5,7 @@ import pytest
 
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
+from hil.datasets.wheel_log import build_recording
 from hil.datasets.wheel_turns import BY_RATES, WRAPS
 
 RADIUS_M, RATE_HZ, SPEED_RAD_S = 0.0254, 50.0, 3.15

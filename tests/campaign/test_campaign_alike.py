@@ -2,8 +2,8 @@
 
 import json
 
+from hil.campaign import Case, Row, alike
 from hil.cli import main
-from hil.procedure.campaign import Case, Row, alike
 
 SCRIPT = '''
 """One of its parameters is never used."""

@@ -209,7 +209,7 @@ def test_a_full_disk_ends_it_with_what_to_do(campaign, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr("hil.procedure.campaign.parquet_rows.put_whole", full)
+        patch.setattr("hil.campaign.parquet_rows.put_whole", full)
         code, _, said = campaign("--seeds", "0:2", "--out", "o")
     assert code == 4
     assert "rows: cannot be written (No space left on device); make room, then go on with --resume" in said

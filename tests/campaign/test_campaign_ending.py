@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from hil.procedure.campaign.dask_run import DeferredSignals, close_once, spread
+from hil.campaign.dask_run import DeferredSignals, close_once, spread
 
 
 def strike(number=signal.SIGINT):

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from hil.campaign import remote_workers as campaign_cluster
+from hil.campaign.worker_files import WorkerFiles, parcel, unpacked
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.procedure import result_files
-from hil.procedure.campaign import remote_workers as campaign_cluster
-from hil.procedure.campaign.worker_files import WorkerFiles, parcel, unpacked
+from hil.procedure import result_writer as result_files
 
 distributed = pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
 

@@ -7,9 +7,9 @@ import os
 
 import pytest
 
+from hil.campaign import Case, Row, summarise
 from hil.cli import main
-from hil.procedure import result_files
-from hil.procedure.campaign import Case, Row, summarise
+from hil.procedure import result_writer as result_files
 
 SCRIPT = '''
 """Hold for as long as the seed says."""

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from hil.campaign import Axis, Case, Row, expand, parse_axis, parse_seeds, summarise, write_csv
+from hil.campaign.table import NEVER_SET, wilson
 from hil.core.errors import UsageError
-from hil.procedure.campaign import Axis, Case, Row, expand, parse_axis, parse_seeds, summarise, write_csv
-from hil.procedure.campaign.table import NEVER_SET, wilson
 
 
 @pytest.mark.parametrize(("text", "seeds"), [("0:4", (0, 1, 2, 3)), ("7", (7,)), ("3,1:3, 5", (3, 1, 2, 5))])

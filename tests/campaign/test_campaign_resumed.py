@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from hil.campaign.plan import locked_folder
 from hil.cli import main
 from hil.core.errors import UsageError
-from hil.procedure.campaign.plan_file import locked_folder
 from hil.procedure.procedure_lookup import modules_beside
 from hil.support import versions
 
@@ -125,7 +125,7 @@ def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch):
     (tmp_path / "plain.py").write_text(PLAIN)
     assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
     here = versions.make()
-    monkeypatch.setattr("hil.procedure.campaign.plan_file.make", lambda: {**here, "numba": "another"})
+    monkeypatch.setattr("hil.campaign.plan.make", lambda: {**here, "numba": "another"})
     code, _, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", "--resume")
     assert (code, "was begun with numba" in said) == (2, True), said
 

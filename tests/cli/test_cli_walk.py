@@ -19,7 +19,7 @@ from hil.config.robot_record.overlay import identity
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.core.registry import kinds
-from hil.procedure.faults import lost
+from hil.fault_matrix import lost
 from hil.recording.mcap_writer import McapRecorder
 from tests.command_tree import leaves
 from tests.selected import every
@@ -114,14 +114,14 @@ def base(world, tmp_path, monkeypatch):
     def no_stages(self):
         raise DeviceError("the robot", "is not commissioned in this test")
 
-    monkeypatch.setattr("hil.procedure.commission.run._Running.all", no_stages)
+    monkeypatch.setattr("hil.commission.run._Running.all", no_stages)
 
-    monkeypatch.setattr("hil.procedure.acceptance._Running.all", no_stages)
+    monkeypatch.setattr("hil.commission.acceptance._Running.all", no_stages)
 
     def no_run(cell, bench):
         return lost(cell, "is not run in this test")
 
-    monkeypatch.setattr("hil.procedure.faults.run_cell", no_run)
+    monkeypatch.setattr("hil.fault_matrix.run_cell", no_run)
 
     def nothing(config, *, seed, faults):
         open_emulation(config, seed=seed, faults=faults).close()

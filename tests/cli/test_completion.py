@@ -118,4 +118,4 @@ def test_help_imports_no_command_and_nothing_heavy():
         "rich",
         "jinja2",
     }
-    assert {m for m in loaded if m.startswith("hil.cli.")} <= {"hil.cli.options", "hil.cli.output"}
+    assert {m for m in loaded if m.startswith("hil.cli.")} <= {"hil.cli.options", "hil.cli.closed_output"}

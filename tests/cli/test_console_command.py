@@ -10,8 +10,9 @@ import sys
 import pytest
 
 from hil.bench import open_bench
-from hil.cli import console_forms, main
+from hil.cli import main
 from hil.cli.live import open_recorder
+from hil.console import forms as console_forms
 from hil.console import jobs
 from hil.console.json_files import read
 from hil.console.stop_server import PAGE, STOP, runs

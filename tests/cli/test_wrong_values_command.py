@@ -5,9 +5,9 @@ import json
 import pytest
 
 from hil.cli import main
-from hil.procedure.wrong_values.cases import cases_of
-from hil.procedure.wrong_values.judge import judge
-from hil.procedure.wrong_values.observed import Observed, Told, Truth
+from hil.fault_matrix.wrong_values.cases import cases_of
+from hil.fault_matrix.wrong_values.judge import judge
+from hil.fault_matrix.wrong_values.observed import Observed, Told, Truth
 
 
 def test_there_are_many_cases_and_each_differs_from_what_is_true():

@@ -10,6 +10,12 @@ import pytest
 from absent_operator import AbsentOperator
 
 from hil.cli import main
+from hil.commission import Commission, commission, saved_state
+from hil.commission import run as commission_run
+from hil.commission.reruns import dependencies_of, reason_to_repeat
+from hil.commission.run import _Running, found_signs
+from hil.commission.saved_state import state_of
+from hil.commission.stages import STAGES, Stage, placed, stages
 from hil.config import profiles
 from hil.config.loading import load_bench
 from hil.config.robot_record import PARTS, Figure, NewPart, Part, RobotRecord
@@ -17,16 +23,10 @@ from hil.config.robot_record.overlay import identity
 from hil.core.clock import MonotonicClock
 from hil.core.errors import Aborted, ConfigError
 from hil.procedure import BenchSource
-from hil.procedure.commission import Commission, commission, saved_state
-from hil.procedure.commission import run as commission_run
-from hil.procedure.commission.reruns import dependencies_of, reason_to_repeat
-from hil.procedure.commission.run import _Running, found_signs
-from hil.procedure.commission.saved_state import state_of
-from hil.procedure.commission.stages import STAGES, Stage, placed, stages
+from hil.procedure.interrupts import Interrupts
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Terminal, go_ahead
-from hil.procedure.result_files import KEEPING, Failure, Result
-from hil.procedure.stop_requests import Interrupts
+from hil.procedure.result_writer import KEEPING, Failure, Result
 from hil.procedures.wall_ablation import EVERYTHING, NOTHING
 from hil.report import commission_page
 

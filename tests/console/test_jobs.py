@@ -250,7 +250,7 @@ def test_a_job_that_was_stopped_before_its_process_was_known_does_not_begin(tmp_
     (job.folder / jobs.PROCESS).unlink()
     assert stop_all(tmp_path) == [job]
     done = subprocess.run(
-        [sys.executable, "-m", "hil.console.job_launcher", str(job.folder)], capture_output=True
+        [sys.executable, "-m", "hil.console.job_process", str(job.folder)], capture_output=True
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
     assert (job.folder / jobs.STDOUT).read_text() == ""

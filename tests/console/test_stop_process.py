@@ -19,7 +19,7 @@ ASKING = Request("/state", {}, {}, "127.0.0.1")
 
 def test_it_needs_the_standard_library_alone():
     code = (
-        "import sys; before = set(sys.modules); import hil.console.stop_server, hil.console.job_launcher\n"
+        "import sys; before = set(sys.modules); import hil.console.stop_server, hil.console.job_process\n"
         "came = {name.split('.')[0] for name in sys.modules.keys() - before}\n"
         "print(*sorted(came - set(sys.stdlib_module_names)))"
     )

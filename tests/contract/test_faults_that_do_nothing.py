@@ -4,7 +4,7 @@ import pytest
 
 from hil.bench.contract import Broken, Subject
 from hil.bench.contract.fault_effects import each_fault_acts
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 
 IDLE = "adhesion_loss"
 """No IMU does anything at it."""

@@ -25,7 +25,7 @@ from hil.core.signals import (
 )
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.pose_alignment import AT_ORIGIN, Mount, PoseAlignment
-from hil.loop.safety import Checks, SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 
 STAMP = Stamp(0, 0, 0)
 

@@ -7,9 +7,9 @@ import pytest
 
 import hil
 from hil.config.loading import load_bench
-from hil.config.recorded import recorded_bench
+from hil.config.unchecked import recorded_bench
 from hil.core.errors import ConfigError
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 
 
 def refused(**overrides):

@@ -8,8 +8,8 @@ from pydantic import BaseModel, ValidationError
 
 from hil.cli import main
 from hil.config.bench import bench_model
+from hil.config.field_types import bounds_of
 from hil.config.loading import explained
-from hil.config.values import bounds_of
 from hil.core.registry import kinds
 
 WRONG = (0, -1, -1e-300, 1e-300, -1e12, 1e21, 10**400, math.inf, -math.inf, math.nan, True, False, "1")

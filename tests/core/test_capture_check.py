@@ -14,7 +14,7 @@ from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.cycle_data import Cycle
-from hil.loop.safety import Checks, SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry, inverse
 
 GEOMETRY = WheelGeometry.nominal()

@@ -6,7 +6,7 @@ import hil
 from hil.bench.loop_settings import motion_limits, safety_limits
 from hil.config.environment import SURFACES
 from hil.config.loading import load_bench, validate
-from hil.config.recorded import changed_since
+from hil.config.unchecked import changed_since
 from hil.core.errors import ConfigError
 from hil.fakes.plant import surfaces
 

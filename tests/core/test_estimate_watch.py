@@ -11,7 +11,7 @@ from hil.core.signals import Inputs, Measurements, PoseMeasurement, RobotState, 
 from hil.loop.checks.mocap_agreement import MocapTolerances
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
-from hil.loop.safety import Checks, SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry, inverse
 
 GEOMETRY = WheelGeometry.nominal()

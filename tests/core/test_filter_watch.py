@@ -6,7 +6,7 @@ from supervised import Supervised
 
 from hil.core.signals import Inputs, Measurements, RobotState
 from hil.loop.checks.filter_fit import FilterFit
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety_limits import SafetyLimits
 
 
 def state(t_ns=0, sigma_m=0.001, **figures):

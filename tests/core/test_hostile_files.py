@@ -17,7 +17,7 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.robot_record.folder import read_version
 from hil.core.errors import DataError, HilError
-from hil.core.result_files import JOURNAL
+from hil.core.result_names import JOURNAL
 from hil.datasets.plain_csv import read_plain
 from hil.datasets.public_csv import read_pair
 from hil.datasets.topic_map import read_topic_map
@@ -27,7 +27,7 @@ from hil.live.reference_files import read_waypoints
 from hil.procedure.operator import Answers
 from hil.procedure.parameters import split_settings
 from hil.procedure.run_journal import read_journal
-from hil.report.result_file import read_result
+from hil.report.result_reader import read_result
 from hil.report.run_page import write_run_page
 from hil.support.file_reading import json_value, read_json, toml_tables
 from tests.selected import draws

@@ -8,8 +8,8 @@ import pytest
 
 from hil.bench import check_faults
 from hil.cli import main
+from hil.config.field_types import Within
 from hil.config.loading import load_bench
-from hil.config.values import Within
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.fakes.emulated_device import EmulationRequest

@@ -28,7 +28,7 @@ from hil.loop.cycle_data import Check
 from hil.loop.device_set import DeviceSet
 from hil.loop.driven_motion import Motion
 from hil.loop.pipeline import ControlPipeline
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety_limits import SafetyLimits
 from hil.loop.supervisor import Supervisor
 from hil.replay.difference_limits import Agreement
 from hil.replay.verification import verify_cycle

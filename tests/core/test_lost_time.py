@@ -12,7 +12,7 @@ import pytest
 from supervised import Supervised
 from test_loop_and_server import Standing
 
-from hil.bench.hold.monitor import HoldCheckDeadline
+from hil.bench.hold.hold_check import HoldCheckDeadline
 from hil.core.clock import Clock
 from hil.core.errors import DeviceTimeoutError, SafetyStop
 from hil.core.interfaces import Sensor
@@ -22,7 +22,7 @@ from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.control_loop import ControlLoop
 from hil.loop.device_set import DeviceSet
 from hil.loop.pipeline import ControlPipeline
-from hil.loop.safety import Checks, SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 from hil.loop.supervisor import Supervisor
 from hil.support.lost_time import EMULATOR, LOOP, LostTime
 

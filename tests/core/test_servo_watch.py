@@ -8,7 +8,7 @@ from supervised import Supervised
 
 from hil.core.errors import SafetyStop
 from hil.core.signals import EncoderSample, Inputs, ServoSample, Stamp, Status, WheelSetpoint
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety_limits import SafetyLimits
 
 PERIOD_NS = 10_000_000
 IDS = (11, 12, 13, 14, 15, 16, 17, 18)

@@ -9,7 +9,7 @@ from supervised import Supervised
 import hil
 from hil.core.errors import SafetyStop
 from hil.core.signals import Inputs, RobotState
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety_limits import SafetyLimits
 from hil.robot.trajectories import line
 
 CYCLE_NS = 10_000_000

@@ -22,7 +22,7 @@ from hil.core.signals import (
 from hil.loop.checks.disagreement import Disagreement
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.cycle_data import Check
-from hil.loop.safety import Checks, SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 
 CYCLE_NS = 10_000_000
 OK = (Status.OK,) * 8

@@ -8,7 +8,7 @@ import sys
 import pytest
 from mcap.reader import make_reader
 
-from hil.report.figure_data import taken_out
+from hil.report.hover_data import taken_out
 from hil.report.page_figures import themed_svg
 
 TWIN = """

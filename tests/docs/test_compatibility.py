@@ -8,12 +8,12 @@ from typing import get_args
 import pytest
 
 from hil.calibration.calibration_file import CalibrationFile
+from hil.campaign import plan as plan_file
 from hil.config.bench import BenchConfig
 from hil.config.robot_record.parts import RecordFile
 from hil.core import errors
-from hil.core.result_files import RESULT_SCHEMA
+from hil.core.result_names import RESULT_SCHEMA
 from hil.datasets.topic_map import TopicMap
-from hil.procedure.campaign import plan_file
 from hil.recording import cycle_codec
 
 ROOT = Path(__file__).resolve().parents[2]

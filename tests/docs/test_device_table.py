@@ -7,7 +7,7 @@ from pathlib import Path
 import yaml
 
 from hil.core.registry import kinds
-from hil.core.result_files import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
+from hil.core.result_names import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")

@@ -11,8 +11,8 @@ import pytest
 import serial
 from emulators import END_S, emulator
 
+from hil.bench.endpoints_file import EndpointsFile, await_endpoints
 from hil.cli import main
-from hil.cli.endpoints_file import EndpointsFile, await_endpoints
 from hil.core.errors import DeviceTimeoutError, UsageError
 
 pytestmark = pytest.mark.usefixtures("warm_commands")

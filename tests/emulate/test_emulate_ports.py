@@ -11,7 +11,7 @@ import pytest
 from natnet import NatNetClient
 
 import hil
-from hil.bench.emulation import build_world
+from hil.bench.emulated_devices import build_world
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.fakes.free_port import free_udp_port

@@ -27,11 +27,11 @@ from hil.calibration.problem import RECOMMENDED
 from hil.config.estimator import EstimatorConfig
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import wrap_array
-from hil.datasets.blocks import reduce_recordings
-from hil.datasets.initial_rest import start_of
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.read import read_recordings
+from hil.datasets.start_pose import start_of
 from hil.estimator import make_estimator
-from hil.estimator.consistency import nees
+from hil.estimator.nees import nees
 from hil.robot.kinematics import WheelGeometry
 
 CAMERA, INERTIAL = CameraErrors(), InertialErrors()

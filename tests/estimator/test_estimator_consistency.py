@@ -7,14 +7,14 @@ from estimator_drives import drive
 from hil.config.estimator import EstimatorConfig
 from hil.core.signals import Measurements, PoseMeasurement, RobotState, Stamp
 from hil.estimator import constant_twist, event_loop, kalman_update, make_estimator, process_model, sensors
-from hil.estimator.consistency import autocorrelation, band, nees, whiteness
 from hil.estimator.kalman_update import Compared
 from hil.estimator.kernel_layout import ROW, first_memory, parameters
 from hil.estimator.matrix_loops import square_root
+from hil.estimator.nees import autocorrelation, band, nees, whiteness
 from hil.estimator.sensors import NUMBERS, tracker, wheels
+from hil.estimator.sigma_points import points_of
 from hil.estimator.smoother import smooth
 from hil.estimator.state_vector import CLONE, MOTION, POSE, ROWS, SCALE, STATES, V_X, V_Y, prior_variances
-from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
 from hil.support.numba_jit import kernel
 from tests.selected import every

@@ -16,9 +16,9 @@ from hil.estimator import matrix_loops as small
 from hil.estimator import process_model as model
 from hil.estimator.kernel_layout import ROW, first_memory, parameters
 from hil.estimator.sensors import NUMBERS, tracker, wheels
+from hil.estimator.sigma_points import points_of
 from hil.estimator.state_vector import CLONE, OMEGA, POSE, ROWS, STATES, prior_variances
 from hil.estimator.state_vector import SCALE as STATE_SCALE
-from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
 from hil.support.numba_jit import kernel
 

@@ -11,7 +11,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.core.geometry import compose
 from hil.core.signals import PoseMeasurement, RobotState, Stamp
 from hil.estimator import make_estimator
-from hil.estimator.consistency import nees
+from hil.estimator.nees import nees
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
 

@@ -13,7 +13,7 @@ import serial
 from mutating import Seal, spoilt
 from tapping import Tap, frame_of, tapped
 
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.emulated_devices import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.core.device import Connection, DeviceModel
 from hil.core.errors import HilError

@@ -12,7 +12,6 @@ from emulations import recorded
 from mutating import Seal
 
 from hil.core.errors import HilError
-from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD
 from hil.drivers.mocap.natnet.messages import FrameParser, parse_frame
 from hil.drivers.mocap.natnet.packets import MalformedPacket, parse_server_info, split
 from hil.drivers.mocap.natnet.session import parse_models
@@ -28,6 +27,7 @@ from hil.links.dronecan.messages import StatusReader, command_of
 from hil.links.mavlink.messages import Parser, axes_of, dialect, pose_of, twist_of
 from hil.links.mip import fields as mip_fields
 from hil.links.mip.packets import PacketParser, encode
+from hil.links.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD
 from hil.links.vesc import messages as vesc
 from hil.live.velocity_input import parse_command
 from hil.recording import cdr

@@ -7,7 +7,7 @@ import tomli_w
 import hil
 from hil.bench.doctor.discovery import discover
 from hil.bench.doctor.examination import examine
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.emulated_devices import build_world, connect_in_process
 from hil.cli import main
 from hil.config.imu import Bno055Config
 from hil.config.loading import load_bench, validate

@@ -10,12 +10,12 @@ import pytest
 from packaging.requirements import Requirement
 
 from hil.bench.emulator_process import last_words
+from hil.campaign import Case, Row, write_rows
 from hil.core.errors import HilError, UsageError
 from hil.datasets.export import write_table
 from hil.datasets.number_table import numbers_at_once
 from hil.drivers.tracker.t265.librealsense_interface import realsense
 from hil.links.mavlink.messages import dialect
-from hil.procedure.campaign import Case, Row, write_rows
 from hil.support.extras import DISTRIBUTION, how_to_install
 
 

@@ -12,7 +12,7 @@ from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.signals import Stamp, Status
 from hil.loop.timing import LoopStatistics
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin import selfcheck
 from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late
 from tests.procedures.made_calibrations import made
@@ -362,7 +362,7 @@ import sys
 def test_nothing_of_the_bench_is_loaded():
     loaded = {name.partition(".")[0] for name in sys.modules}
     assert not loaded & {"numpy", "scipy", "pydantic", "can", "serial"}
-    light = {"hil.pytest_plugin", "hil.core", "hil.core.opened_benches"}
+    light = {"hil.pytest_plugin", "hil.core", "hil.core.bench_observers"}
     assert {name for name in sys.modules if name.startswith("hil.")} <= light
 
 def test_own_fixtures_win(bench, loop):

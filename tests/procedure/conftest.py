@@ -6,7 +6,7 @@ import pytest
 
 from hil.config.bench import BenchConfig
 from hil.core.clock import MonotonicClock
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
 
 

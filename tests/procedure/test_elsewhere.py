@@ -8,7 +8,7 @@ import pytest
 
 from hil.core.errors import Aborted, DataError, TrajectoryError
 from hil.procedure import procedure
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.figure_rows import DrivenRows
 from hil.procedure.measurements import Verdict
 from hil.procedure.parallel_drives import DriveJob, Sent, driven

@@ -7,12 +7,12 @@ import signal
 import pytest
 from click.testing import CliRunner
 
+from hil import fault_matrix as faults
 from hil.bench import check_faults, supported_faults
 from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.core.errors import Aborted, ConfigError, HilError, UsageError
-from hil.procedure import faults
-from hil.procedure.faults import MOMENTS, Cell, CellVerdict, cells_of, random_cells
+from hil.fault_matrix import MOMENTS, Cell, CellVerdict, cells_of, random_cells
 from hil.report.history.index import find_results
 from hil.robot.trajectories import line
 
@@ -136,7 +136,7 @@ def test_a_failed_cell_is_reported_with_its_reason_and_is_exit_code_1(tmp_path, 
     def fallen(cell, bench):
         return CellVerdict(cell, ("it fell",), "went on", True, "HELD")
 
-    monkeypatch.setattr("hil.procedure.faults.run_cell", fallen)
+    monkeypatch.setattr("hil.fault_matrix.run_cell", fallen)
     result = run("--only", "imu:wrong@open", "--json", "--out", str(tmp_path))
     (failed,) = json.loads(result.stdout)["failed"]
     assert result.return_value == 1
@@ -190,7 +190,7 @@ def judged(monkeypatch):
         asked.append(cell)
         return CellVerdict(cell, (), "went on", True, "HELD")
 
-    monkeypatch.setattr("hil.procedure.faults.run_cell", verdict)
+    monkeypatch.setattr("hil.fault_matrix.run_cell", verdict)
     return asked
 
 
@@ -264,7 +264,7 @@ def test_sigterm_within_a_run_ends_the_campaign_at_once(tmp_path, monkeypatch):
         os.kill(os.getpid(), signal.SIGTERM)
         return line(*given, **options)
 
-    monkeypatch.setattr("hil.procedure.faults.drive.line", struck)
+    monkeypatch.setattr("hil.fault_matrix.drive.line", struck)
     with pytest.raises(Aborted, match="SIGTERM; 0 of 2 cells are judged"):
         command.main(
             ["--only", "imu:off", "--moments", "motion,stop", "--out", str(tmp_path)], standalone_mode=False

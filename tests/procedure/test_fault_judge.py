@@ -8,10 +8,10 @@ import pytest
 from hil.bench import Held
 from hil.core.errors import DeviceError, SafetyStop
 from hil.core.signals import SERVOS
-from hil.procedure.faults import MOMENTS, Cell, CellVerdict, matrix_page, summary
-from hil.procedure.faults.judge import Measured, judge
-from hil.procedure.faults.movement_bounds import LIMP_M_S, farthest_m
-from hil.procedure.faults.observation import Ended, Figures, Seen, Told, ended_by
+from hil.fault_matrix import MOMENTS, Cell, CellVerdict, matrix_page, summary
+from hil.fault_matrix.judge import Measured, judge
+from hil.fault_matrix.movement_bounds import LIMP_M_S, farthest_m
+from hil.fault_matrix.observation import Ended, Figures, Seen, Told, ended_by
 
 STOPPED_S, LOOKED_S = 1.4, 6.4
 

@@ -9,8 +9,8 @@ import pytest
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.errors import FaultNotSupportedError, UsageError
+from hil.fault_matrix.on_devices import faults_at_links
 from hil.faults import permission
-from hil.procedure.faults.on_devices import faults_at_links
 from tests.served_as_real import served_as_real
 
 REAL = {"imu.backend": "real", "imu.port": "/dev/no-such-port"}

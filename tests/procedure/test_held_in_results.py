@@ -7,14 +7,14 @@ from contextlib import suppress
 
 import pytest
 
-from hil.bench.hold.monitor import HoldMonitor
-from hil.bench.hold.result import held_in_words
+from hil.bench.hold.hold_check import HoldMonitor
+from hil.bench.hold.verdict import held_in_words
 from hil.cli import main
 from hil.cli.run import text_of
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceTimeoutError
 from hil.procedure import Measurement, procedure
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.recording.mcap_reader import RecordingReader
 from hil.report import run_page

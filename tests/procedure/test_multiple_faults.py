@@ -8,9 +8,9 @@ import pytest
 
 from hil.bench import Held, supported_faults
 from hil.config.loading import load_bench
+from hil.fault_matrix import Cell
+from hil.fault_matrix.observation import Seen
 from hil.faults.fault import parse_fault
-from hil.procedure.faults import Cell
-from hil.procedure.faults.observation import Seen
 
 BENCHMARK = runpy.run_path(str(Path(__file__).resolve().parents[2] / "benchmarks" / "multiple_faults.py"))
 LOOKED_S = 9.5

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from hil.procedure import procedure
-from hil.procedure.bench_request import BenchSource
-from hil.report.figure_data import taken_out
+from hil.procedure.bench_source import BenchSource
+from hil.report.hover_data import taken_out
 from hil.report.page_figures import themed_svg
 from hil.report.plot_style import new_figure
 from hil.robot.trajectories import line

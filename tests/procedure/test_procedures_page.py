@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "procedures.md").read_text(encoding="utf-8")

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from hil.cli.run import text_of
 from hil.core.errors import Aborted, ConfigError, DeviceError, UsageError
 from hil.procedure import Measurement, procedure
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.operator import Answers, Terminal
-from hil.procedure.stop_requests import Interrupts, time_limit
 from hil.report.run_page import write_run_page
 from tests.patience import FANLESS
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from hil.cli.run import command
 from hil.core.errors import RecordingError
 from hil.procedure import Measurement, procedure
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.run_journal import Journal, read_journal
 from hil.recording.mcap_reader import read_cycles
 from hil.robot.trajectories import line

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from hil.bench.hold.monitor import HoldMonitor
+from hil.bench.hold.hold_check import HoldMonitor
+from hil.fault_matrix import MOMENTS, Cell, run_cell
+from hil.fault_matrix.drive import observed
+from hil.fault_matrix.judge import judge
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.supervisor import Supervisor
-from hil.procedure.faults import MOMENTS, Cell, run_cell
-from hil.procedure.faults.drive import observed
-from hil.procedure.faults.judge import judge
 
 EVERY = ("adhesion", "encoders", "imu", "load_cells", "mocap", "servos", "thrust", "tracker")
 

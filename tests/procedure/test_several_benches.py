@@ -5,19 +5,19 @@ from functools import partial
 
 import pytest
 
-from hil.bench.hold.result import Held
+from hil.bench.hold.verdict import Held
 from hil.cli import main
 from hil.core.clock import NS_PER_S, MonotonicClock
 from hil.core.errors import Aborted, SafetyStop
 from hil.faults.fault import parse_fault
 from hil.procedure import Measurement, procedure
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.final_hold import HoldRecord
+from hil.procedure.interrupts import Interrupts
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.run_journal import Journal, read_journal
+from hil.procedure.run_sinks import StepTimer
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.step_timer import StepTimer
-from hil.procedure.stop_requests import Interrupts
 from hil.procedure.tracking_errors import enable_hold
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line

@@ -7,7 +7,7 @@ import pytest
 from hil.core.clock import nanoseconds
 from hil.core.errors import StepTimeoutError
 from hil.procedure import procedure
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from tests.patience import FANLESS
 
 

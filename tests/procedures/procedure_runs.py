@@ -13,9 +13,9 @@ from absent_operator import AbsentOperator
 
 from hil.bench import open_bench
 from hil.core.clock import MonotonicClock, nanoseconds
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.result_files import Result
+from hil.procedure.result_writer import Result
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run

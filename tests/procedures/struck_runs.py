@@ -18,8 +18,8 @@ from procedure_runs import Run, assert_still, options_of, watched
 from hil.core.interfaces import Sink
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.run_journal import read_journal
+from hil.procedure.run_sinks import StepTimer
 from hil.procedure.runner import run_procedure
-from hil.procedure.step_timer import StepTimer
 from hil.recording.mcap_reader import read_cycles
 
 EXPECTED = {"exception": 2, "sigterm": 4, "one sigint": 4, "two sigints": 4, "time out": 3}

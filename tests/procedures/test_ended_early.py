@@ -6,10 +6,10 @@ import pytest
 from procedure_runs import options_of
 
 from hil.core.interfaces import Sink
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.interrupts import Interrupts
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import run_procedure
-from hil.procedure.stop_requests import Interrupts
 from tests.patience import FANLESS
 
 SHORT = {"processes": 1, "length_m": 0.05, "duration_s": 2.0, "hold_s": 0.5}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from procedure_runs import options_of
 
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.measurements import Verdict
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import run_procedure

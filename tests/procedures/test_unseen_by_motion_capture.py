@@ -13,7 +13,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import wrap_array
 from hil.loop.driven_motion import Motion
 from hil.procedure import procedure
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import run_procedure

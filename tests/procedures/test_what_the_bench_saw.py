@@ -10,7 +10,7 @@ from procedure_runs import options_of
 from hil.cli.run import text_of
 from hil.core.event_rows import MOST_ROWS, EventRows, event_line
 from hil.core.signals import Event
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.procedure.measurements import Verdict
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import run_procedure

@@ -12,10 +12,10 @@ from hil.bench import open_bench
 from hil.bench.doctor.robot_record_import import import_record
 from hil.cli import main
 from hil.config.estimator import EstimatorConfig
+from hil.config.field_types import UnitQuaternion
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
-from hil.config.values import UnitQuaternion
 from hil.core.errors import ConfigError
 from hil.procedure import BenchSource
 

@@ -6,7 +6,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.kinematics import WheelGeometry

@@ -9,10 +9,10 @@ from hil.calibration.synthetic import hidden_robot, simulate
 from hil.core.errors import DataError
 from hil.datasets import number_table
 from hil.datasets.cleaning import NO_HEADING, Log, increasing
-from hil.datasets.dataset import build_recording
 from hil.datasets.plain_csv import read_plain, write_plain
 from hil.datasets.public_csv import read_pair
 from hil.datasets.read import read_recordings
+from hil.datasets.wheel_log import build_recording
 from hil.support.extras import is_installed
 
 needs_pyarrow = pytest.mark.skipif(not is_installed("parquet"), reason="the extra parquet is not installed")

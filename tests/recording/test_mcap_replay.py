@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from mcap_cases import driving_record
 
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.config.loading import load_bench
-from hil.core.choices import COMPARED
 from hil.core.errors import DataError, SafetyStop
 from hil.core.geometry import compose, se2_exp
 from hil.core.interfaces import Controller, Estimator
+from hil.core.known_names import COMPARED
 from hil.core.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.driven_motion import Motion
 from hil.loop.pipeline import ControlPipeline
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety_limits import SafetyLimits
 from hil.loop.supervisor import Supervisor
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs

@@ -16,7 +16,7 @@ from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.copies import is_copy
+from hil.datasets.duplicates import is_copy
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
 

@@ -10,7 +10,7 @@ from mcap_cases import driving_record
 from recorded import messages, recorded
 from scipy.spatial.transform import Rotation
 
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.signals import SERVOS, WHEELS, Inputs, ServoSample, Stamp, Status

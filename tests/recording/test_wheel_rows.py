@@ -10,9 +10,9 @@ from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.warnings import warnings_of
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.dataset import build_recording
 from hil.datasets.plain_csv import read_plain
 from hil.datasets.read import read_recordings
+from hil.datasets.wheel_log import build_recording
 from hil.robot.kinematics import WheelGeometry
 
 COUNT_RAD = 2.0 * np.pi / 4096.0

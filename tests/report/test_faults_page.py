@@ -2,8 +2,8 @@
 
 import pytest
 
-from hil.procedure.faults import CellVerdict, cells_of, summary
-from hil.procedure.faults.matrix_table import write_faults
+from hil.fault_matrix import CellVerdict, cells_of, summary
+from hil.fault_matrix.matrix_table import write_faults
 from hil.report.history.index import find_results
 from hil.report.history.opening import page_of
 from hil.report.history.query import LAST, named

@@ -9,7 +9,7 @@ import pytest
 
 from hil.procedure.tracking_errors import path_figure, series
 from hil.report.calibration_page import _parameters
-from hil.report.figure_data import taken_out
+from hil.report.hover_data import taken_out
 from hil.report.page_figures import save_figure
 from hil.report.plot_style import MOST_POINTS, kept_rows, new_figure, plain_log, style, thin
 from hil.report.replay_page import _path

@@ -17,7 +17,7 @@ import pytest
 
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.report.result_file import read_result
+from hil.report.result_reader import read_result
 from hil.report.run_page import write_run_page
 
 EVIL = '"><script>document.title = "ran"</script><img src="http://127.0.0.1:{port}/text" onerror="alert(1)">'

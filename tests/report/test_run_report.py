@@ -17,13 +17,13 @@ from hil.config.bench import BenchConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError, UsageError
 from hil.procedure import BenchSource, Measurement, procedure
-from hil.procedure.result_files import judge
+from hil.procedure.result_writer import judge
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.compare_page import compare, comparison_text, write_compare_page
-from hil.report.figure_data import taken_out
+from hil.report.hover_data import taken_out
 from hil.report.page_figures import figure_image, save_figure, themed_svg
 from hil.report.plot_style import PALETTE, legend, new_figure, plain_log, style
-from hil.report.result_file import read_result
+from hil.report.result_reader import read_result
 from hil.report.run_page import bar, write_run_page
 from hil.report.run_summary import grouped, sentence
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SafetyStop, UsageError
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording

@@ -7,7 +7,7 @@ import pytest
 
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.ros2.network import network_of
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")

@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from hil.core.errors import SafetyStop
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
 from tests.patience import PATIENT

@@ -12,7 +12,7 @@ import pytest
 from hil.cli import main
 from hil.config.ros2 import Ros2Config
 from hil.core.errors import ConfigError
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.recording.mcap_reader import read_cycles
 from hil.support import extras
 from tests.patience import patient_bench

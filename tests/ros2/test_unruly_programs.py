@@ -8,7 +8,7 @@ import pytest
 
 from hil.core.errors import SafetyStop
 from hil.core.interfaces import Sink
-from hil.procedure.bench_request import BenchSource
+from hil.procedure.bench_source import BenchSource
 from hil.robot.trajectories import line
 from tests.ros2.test_lockstep import FOLLOWS, TOPIC, driver
 

@@ -11,7 +11,7 @@ from servo_client import MODEL
 from servo_wire import make_wire
 
 from hil.config.servo_models import servo_model, shared_register
-from hil.config.servo_models.codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCHDOG_STEP_S
+from hil.config.servo_models.x_series_codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCHDOG_STEP_S
 from hil.config.servos import ServosConfig
 from hil.core.errors import UsageError
 from hil.core.signals import ServoSetpoint

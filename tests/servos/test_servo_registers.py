@@ -3,7 +3,7 @@
 import pytest
 from servo_client import ACTION, BACKUP, CLEAR, FACTORY, PING, READ, REBOOT, REG_WRITE, WRITE, Client
 
-from hil.config.servo_models.codes import BAUD_RATES
+from hil.config.servo_models.x_series_codes import BAUD_RATES
 from hil.drivers.servos.dynamixel.packets import find_statuses, instruction
 from hil.fakes.servos.dynamixel import protocol
 

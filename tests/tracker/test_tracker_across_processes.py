@@ -12,11 +12,11 @@ from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
-from hil.core.t265_datagrams import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
 from hil.drivers.tracker.t265.driver import T265Tracker
 from hil.drivers.tracker.t265.served_poses import FeedPipeline
 from hil.fakes.server import EmulationServer
 from hil.fakes.tracker.t265.pose_server import TrackerTransport
+from hil.links.t265_datagrams import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
 from tests.tracker.software_device import SoftwareT265
 
 pytestmark = pytest.mark.real_time

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hil.config.tracker import T265Config
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
-from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
 from hil.drivers.tracker.t265.driver import T265Tracker
 from hil.drivers.tracker.t265.served_poses import FeedDevice, FeedFrame, FeedSensor
 from hil.fakes.world import VirtualClock, World
+from hil.links.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
 from tests.selected import draws, every
 
 INFO = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"Intel RealSense T265", b"0815", b"0.2.0.951")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.emulation import open_emulation
+from hil.bench.emulated_devices import open_emulation
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock

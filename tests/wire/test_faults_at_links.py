@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from hil.bench.drivers import make_device_set, model_of
-from hil.bench.emulation import build_world, connect_in_process, supported_faults
+from hil.bench.device_set_from_config import make_device_set, model_of
+from hil.bench.emulated_devices import build_world, connect_in_process, supported_faults
 from hil.bench.injection import Injection
 from hil.bench.opening import make_bench_model
 from hil.core.errors import HilError

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.drivers import model_of
+from hil.bench.device_set_from_config import model_of
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import Aborted, HilError

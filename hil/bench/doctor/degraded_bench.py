@@ -10,7 +10,7 @@ from hil.bench.opening import open_bench
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.finding import Finding
-from hil.core.package_errors import PackageError
+from hil.core.third_party_errors import PackageError
 
 
 def open_degraded(

@@ -20,10 +20,10 @@ import numpy as np
 from hil.bench.bench import Bench
 from hil.bench.cross_checks.force import force_checks
 from hil.bench.cross_checks.parameters import Parameters, advice, at_rest
+from hil.bench.device_set_from_config import model_of
 from hil.bench.doctor.inertial_offsets import inertial_changes
 from hil.bench.doctor.port_findings import Host, host_findings
 from hil.bench.doctor.steering_offsets import slipped_between
-from hil.bench.drivers import model_of
 from hil.bench.loop_settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
 from hil.bench.third_party.contract_findings import find_contract_breaks
@@ -35,11 +35,11 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import Aborted, HilError
 from hil.core.finding import Finding, Level
 from hil.core.interfaces import Device
-from hil.core.package_errors import OURS, call_in_package
 from hil.core.registry import base_of, kinds
 from hil.core.signals import Inputs, Measurements, Status, worst
+from hil.core.third_party_errors import OURS, call_in_package
 from hil.drivers.doctor_watch import Watched
-from hil.estimator.noise_figures import MEASURED, NoiseFigure
+from hil.estimator.noise_parameters import MEASURED, NoiseFigure
 from hil.estimator.sample_statistics import Spread, about_a_line, blocks, total
 from hil.estimator.tuning import value_of
 from hil.links.serial_url import latency_timer

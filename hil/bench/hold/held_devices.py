@@ -10,13 +10,13 @@ from typing import TypeVar
 
 from hil.bench.camera_odometry import wheel_feed
 from hil.bench.cross_checks.parameters import Parameters
-from hil.bench.hold.force_controller import by_need
-from hil.bench.hold.monitor import HoldMonitor
+from hil.bench.hold.force_schedule import by_need
+from hil.bench.hold.hold_check import HoldMonitor
 from hil.bench.hold.preload import Preload
-from hil.bench.hold.result import Held, untouched
+from hil.bench.hold.verdict import Held, untouched
 from hil.bench.injection import Injection
 from hil.bench.loop_settings import can_fall, fail_limits
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.bench.reconnect import reconnecting
 from hil.bench.seen_events import SeenEvents
 from hil.bench.unreached_faults import not_begun, not_begun_in_words

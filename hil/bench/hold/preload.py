@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from hil.bench.hold.adhesion_force import MEASURES, MeasuredForces, in_words
-from hil.bench.hold.force_controller import LARGEST_STEP_DOWN_N
+from hil.bench.hold.force_schedule import LARGEST_STEP_DOWN_N
 from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.loop_settings import motion_check
-from hil.bench.model import BenchModel
+from hil.bench.pipelines import BenchModel
 from hil.core.clock import nanoseconds
 from hil.core.signals import CycleRecord, Inputs, ServoHold, ServoSample, Stamp, Status
 from hil.loop.alignment import Alignment

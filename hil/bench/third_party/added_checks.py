@@ -9,8 +9,8 @@ from dataclasses import replace
 
 from hil.config.bench import BenchConfig
 from hil.core.further_device import FurtherKind
-from hil.core.package_errors import OURS, PackageError, call_in_package, errors_as_package_error
 from hil.core.registry import base_of, kinds
+from hil.core.third_party_errors import OURS, PackageError, call_in_package, errors_as_package_error
 from hil.loop.cycle_data import Check, Cycle, LastingCheck
 
 _REASON = re.compile(r"[a-z][a-z0-9_]*")

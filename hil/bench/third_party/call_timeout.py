@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from types import FrameType
 
 from hil.core.errors import HilError
-from hil.core.package_errors import PackageError
+from hil.core.third_party_errors import PackageError
 
 LOG = logging.getLogger(__name__)
 

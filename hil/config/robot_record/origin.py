@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from hil.config.robot_record.folder import check_robot_is
 from hil.config.robot_record.parts import NOT_VERIFIED, Identity
 from hil.core.errors import ConfigError, DataError, reason_of
-from hil.core.result_files import PASSED, RESULT
+from hil.core.result_names import PASSED, RESULT
 from hil.support.file_reading import MOST_TOML_BYTES, json_value, read_json, read_text
 
 FROM_A_FILE = "taken from a file"

@@ -18,7 +18,7 @@ from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import DeviceTimeoutError, UsageError
 from hil.core.interfaces import Holding
 from hil.fan_daemon.commander import MakeCommander, MotorCommander
-from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon.fallback_client import FailoverClient
 from hil.fan_daemon.fan_control import SetPoint
 from hil.fan_daemon.spec import Spec
 from hil.links.can_bus import CanLink, remedy_of_silence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from hil.config.servo_models.codes import hardware_error_text
+from hil.config.servo_models.x_series_codes import hardware_error_text
 from hil.core.clock import nanoseconds
 from hil.core.device import DeviceKind, Figures, Plot, Topic
 from hil.core.finding import Finding

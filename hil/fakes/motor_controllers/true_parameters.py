@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from hil.config.adhesion import Force, MotorConfig
-from hil.config.values import Within
+from hil.config.field_types import Within
 from hil.fakes.motor_controllers.initial_support import InitialSupport
 
 StatusMessage = Annotated[int, Within(1, 6, "a VESC has status messages 1 to 6")]

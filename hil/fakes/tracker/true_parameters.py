@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hil.config.values import Within
+from hil.config.field_types import Within
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hil.core.signals import Event
-from hil.core.suspects import together
+from hil.core.stop_causes import together
 from hil.loop.checks.disagreement import Disagreement
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.fall import look_at
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.servos import ServoCheck
 from hil.loop.cycle_data import Check, Cycle
-from hil.loop.safety import Checks
+from hil.loop.safety_limits import Checks
 
 
 class AgreementCheck(Check):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.sensor_status import SensorStatus
 from hil.loop.cycle_data import Check, Cycle
-from hil.loop.safety import Checks
+from hil.loop.safety_limits import Checks
 
 
 class LostCheck(Check):

@@ -7,7 +7,7 @@ import math
 from hil.core.errors import SafetyStop
 from hil.core.geometry import wrap
 from hil.loop.cycle_data import Check, Cycle
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety_limits import SafetyLimits
 
 
 class PathCheck(Check):

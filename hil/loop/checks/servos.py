@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from hil.config.servo_models.codes import hardware_error_text
+from hil.config.servo_models.x_series_codes import hardware_error_text
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.geometry import wrap
 from hil.core.interfaces import ReportStop

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import DataError, reason_of
-from hil.core.result_files import (
+from hil.core.result_names import (
     ACCEPTANCE_TABLE,
     CAMPAIGN_TABLE,
     COMMISSIONING_TABLE,
@@ -30,7 +30,7 @@ from hil.core.result_files import (
     RESULT_SCHEMA,
     SESSION,
 )
-from hil.report.result_file import read_result
+from hil.report.result_reader import read_result
 from hil.support.file_reading import json_object, read_json
 
 RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"

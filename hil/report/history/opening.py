@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.core.errors import DataError
-from hil.core.result_files import ACCEPTANCE_PAGE, CAMPAIGN_PAGE, COMMISSIONING_PAGE, FAULTS_PAGE, REPORT
+from hil.core.result_names import ACCEPTANCE_PAGE, CAMPAIGN_PAGE, COMMISSIONING_PAGE, FAULTS_PAGE, REPORT
 from hil.report.history.index import ACCEPTANCE, CAMPAIGN, COMMISSIONING, FAULTS, RUN, Kept
 from hil.report.run_page import write_run_page
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import DataError, reason_of
-from hil.core.result_files import (
+from hil.core.result_names import (
     ACCEPTANCE_PAGE,
     ACCEPTANCE_TABLE,
     CAMPAIGN_CSV,

@@ -14,7 +14,7 @@ from datetime import datetime
 from itertools import groupby, takewhile
 from typing import Any
 
-from hil.core.result_files import PASSED
+from hil.core.result_names import PASSED
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, Chart, individuals_chart
 from hil.report.history.index import RUN, Kept
 from hil.report.pages import number

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.config.servo_models.codes import hardware_error_text
+from hil.config.servo_models.x_series_codes import hardware_error_text
 from hil.config.servos import ServosConfig
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.config.servo_models.codes import RETURN_DELAY_STEP_S, hardware_error_text
+from hil.config.servo_models.x_series_codes import RETURN_DELAY_STEP_S, hardware_error_text
 from hil.config.servos import ServosConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.finding import Finding

@@ -13,7 +13,7 @@ from hil.config.servo_models import (
     servo_models,
     shared_register,
 )
-from hil.config.servo_models.codes import BAUD_CODES, BAUD_RATES, RETURN_DELAY_STEP_S
+from hil.config.servo_models.x_series_codes import BAUD_CODES, BAUD_RATES, RETURN_DELAY_STEP_S
 from hil.core.clock import Clock
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import Status

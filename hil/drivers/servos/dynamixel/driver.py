@@ -21,7 +21,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.config.servo_models.codes import RETURN_DELAY_STEP_S
+from hil.config.servo_models.x_series_codes import RETURN_DELAY_STEP_S
 from hil.config.servos import ServosConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from hil.config.servo_models import ServoModel, model_text, models_text, servo_models, shared_register
-from hil.config.servo_models.codes import BAUD_RATES, MODE_NAMES, VELOCITY
+from hil.config.servo_models.x_series_codes import BAUD_RATES, MODE_NAMES, VELOCITY
 from hil.config.servos import STEER_MODES, ServosConfig
 from hil.core.clock import Clock
 from hil.core.errors import DeviceError, DeviceTimeoutError

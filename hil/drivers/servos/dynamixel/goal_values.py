@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.config.servo_models.codes import POSITION
+from hil.config.servo_models.x_series_codes import POSITION
 from hil.config.servos import ServosConfig
 from hil.core.errors import UsageError
 from hil.core.signals import ServoSetpoint

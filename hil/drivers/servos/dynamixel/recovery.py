@@ -11,7 +11,7 @@ import logging
 from collections.abc import Mapping, Sequence
 
 from hil.config.servo_models import shared_register
-from hil.config.servo_models.codes import hardware_error_text
+from hil.config.servo_models.x_series_codes import hardware_error_text
 from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError
 from hil.core.signals import SERVOS, Status

@@ -14,7 +14,7 @@ from operator import add, sub
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.config.servo_models.codes import hardware_error_text
+from hil.config.servo_models.x_series_codes import hardware_error_text
 from hil.config.servos import ServosConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.geometry import Array

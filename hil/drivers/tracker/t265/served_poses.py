@@ -2,7 +2,7 @@
 
 It subscribes with one small datagram, renews that every 100 datagrams or after 0.1 s of silence, and passes
 every pose to the callback from a thread of its own, as librealsense does. Settings and wheel odometry go the
-same way. `hil.core.t265_datagrams` has the layout of the datagrams.
+same way. `hil.links.t265_datagrams` has the layout of the datagrams.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from hil.core.t265_datagrams import (
+from hil.drivers.tracker.t265.librealsense_interface import Frame
+from hil.links.t265_datagrams import (
     FEED_HEAD,
     FEED_INFO,
     FEED_LEAVE,
@@ -28,7 +29,6 @@ from hil.core.t265_datagrams import (
     POSE_RECORD,
     WHEELS_RECORD,
 )
-from hil.drivers.tracker.t265.librealsense_interface import Frame
 
 _POLL_S = 0.1
 _ASK_TIMES = 20

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from hil.config.values import Within
+from hil.config.field_types import Within
 from hil.core.geometry import Array
 from hil.support.numba_jit import inner, kernel
 

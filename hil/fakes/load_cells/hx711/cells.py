@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from hil.config.field_types import Within
 from hil.config.load_cells import LoadCellsConfig
-from hil.config.values import Within
 from hil.core.clock import NS_PER_S
 from hil.fakes.world import World
 from hil.faults.fault import Supported

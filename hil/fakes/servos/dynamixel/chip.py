@@ -8,7 +8,7 @@ overload.
 from __future__ import annotations
 
 from hil.config.servo_models import DEFAULT_MODEL
-from hil.config.servo_models.codes import WATCHDOG_STEP_S
+from hil.config.servo_models.x_series_codes import WATCHDOG_STEP_S
 from hil.core.clock import nanoseconds
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.serial_chip import Reply, SerialChip

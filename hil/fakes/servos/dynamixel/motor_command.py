@@ -13,7 +13,14 @@ from __future__ import annotations
 import math
 
 from hil.config.servo_models import ServoModel
-from hil.config.servo_models.codes import CURRENT, CURRENT_POSITION, EXTENDED, POSITION, PWM, VELOCITY
+from hil.config.servo_models.x_series_codes import (
+    CURRENT,
+    CURRENT_POSITION,
+    EXTENDED,
+    POSITION,
+    PWM,
+    VELOCITY,
+)
 from hil.fakes.body_interface import JointCommand, Plant
 from hil.fakes.servos.dynamixel.control_table import ControlTable
 

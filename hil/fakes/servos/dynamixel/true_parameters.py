@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator
 
+from hil.config.field_types import Baud, SteeringZero, Within
 from hil.config.servo_models import (
     DEFAULT_MODEL,
     ServoModel,
@@ -16,8 +17,7 @@ from hil.config.servo_models import (
     servo_model,
     servo_models,
 )
-from hil.config.servo_models.codes import BAUD_CODES
-from hil.config.values import Baud, SteeringZero, Within
+from hil.config.servo_models.x_series_codes import BAUD_CODES
 
 _BATTERY_V = 11.1
 _MODES = 16

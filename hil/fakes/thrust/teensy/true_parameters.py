@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from hil.config.field_types import Within
 from hil.config.thrust import TeensyConfig, Thrust
-from hil.config.values import Within
 from hil.fakes.motor_controllers.initial_support import InitialSupport
 
 

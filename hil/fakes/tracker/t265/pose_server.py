@@ -1,6 +1,6 @@
 """Streams the emulated camera's poses over loopback UDP to any client that subscribes.
 
-`hil.core.t265_datagrams` defines the datagrams; the driver's `FeedPipeline` is one of the clients.
+`hil.links.t265_datagrams` defines the datagrams; the driver's `FeedPipeline` is one of the clients.
 """
 
 from __future__ import annotations
@@ -9,7 +9,10 @@ import json
 
 from hil.core.clock import nanoseconds
 from hil.core.errors import DeviceError
-from hil.core.t265_datagrams import (
+from hil.fakes.tracker.t265.chip import T265
+from hil.fakes.tracker.t265.librealsense_frames import PoseFrame
+from hil.fakes.udp_server import DatagramTransport
+from hil.links.t265_datagrams import (
     FEED_HEAD,
     FEED_INFO,
     FEED_LEAVE,
@@ -22,9 +25,6 @@ from hil.core.t265_datagrams import (
     POSE_RECORD,
     WHEELS_RECORD,
 )
-from hil.fakes.tracker.t265.chip import T265
-from hil.fakes.tracker.t265.librealsense_frames import PoseFrame
-from hil.fakes.udp_server import DatagramTransport
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 2048

@@ -1,5 +1,0 @@
-"""Commissioning: procedures from a new robot to a verified run on its wall; each uses the earlier results."""
-
-from hil.procedure.commission.run import Commission, commission
-
-__all__ = ["Commission", "commission"]
