@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from hil.core.signals import WHEELS
-from hil.datasets.dataset import Recording
 from hil.datasets.odd_wheels import ways
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_ways import Complexes
 from hil.robot.kinematics import WheelGeometry
 

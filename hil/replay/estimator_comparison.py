@@ -16,12 +16,12 @@ import numpy as np
 
 from hil.bench.pipelines import BenchModel
 from hil.config.estimator import EstimatorConfig
-from hil.core.known_names import COMPARED, ESTIMATORS
 from hil.core.errors import DataError
 from hil.core.geometry import Array, wrap_array
 from hil.core.interfaces import Estimator
-from hil.core.third_party_errors import of_a_script
+from hil.core.known_names import COMPARED, ESTIMATORS
 from hil.core.signals import CycleRecord, RobotState, sensors_with_samples
+from hil.core.third_party_errors import of_a_script
 from hil.datasets.sampling import beside_rows, is_slow
 from hil.estimator.nees import autocorrelation, nees
 from hil.loop.driven_motion import Motion

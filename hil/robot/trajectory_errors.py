@@ -12,9 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.core.choices import ALIGNMENTS
 from hil.core.errors import UsageError
 from hil.core.geometry import Array, wrap_array
+from hil.core.known_names import ALIGNMENTS
 
 
 def aligned(estimate: Array, truth: Array, how: str) -> Array:
@@ -23,7 +23,7 @@ def aligned(estimate: Array, truth: Array, how: str) -> Array:
     Args:
         estimate: estimated poses.
         truth: true poses at the same instants.
-        how: one of `hil.core.choices.ALIGNMENTS`.
+        how: one of `hil.core.known_names.ALIGNMENTS`.
 
     Raises:
         UsageError: another alignment.

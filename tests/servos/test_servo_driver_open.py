@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from servo_client import ALL, TABLE, word
 
-from hil.cli.servo_setup import command as setup
+from hil.cli.setup import command as setup
 from hil.config.servo_models.x_series_codes import BAUD_RATES
 from hil.config.servos import ServosConfig
 from hil.core.clock import MonotonicClock
