@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from hil.cli.closed_output import error_as_json
 from hil.cli.completion_types import BENCH
 from hil.cli.options import (
     COUPLING,
@@ -22,9 +23,8 @@ from hil.cli.options import (
     say_rerun_files,
     truth_options,
 )
-from hil.cli.closed_output import error_as_json
-from hil.core.known_names import ALIGNMENTS, COMPARED
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
+from hil.core.known_names import ALIGNMENTS, COMPARED
 
 if TYPE_CHECKING:
     from hil.bench.pipelines import BenchModel

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from hil.core.errors import UsageError
 from hil.datasets import plain_csv, public_csv, rosbag
-from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.topic_map import TopicMap
 from hil.datasets.truth_files import TruthFile
+from hil.datasets.wheel_log import Recording
 
 LOG = logging.getLogger(__name__)
 PUBLIC = "is of the public recordings, whose columns are known; leave --topics out"

@@ -18,7 +18,6 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
 from hil.datasets.column_map import ColumnMap, read_columns
-from hil.datasets.wheel_log import Recording, build_recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
 from hil.datasets.partial_rows import hold_unchanged
@@ -26,6 +25,7 @@ from hil.datasets.public_csv import read_bytes
 from hil.datasets.recording_names import motion_of
 from hil.datasets.sampling import truth_at
 from hil.datasets.truth_files import TruthFile, read_truth, refuse_truth_alone
+from hil.datasets.wheel_log import Recording, build_recording
 
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")

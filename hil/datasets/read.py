@@ -13,9 +13,8 @@ from hil.core.path_hints import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
 from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.changed_wheels import with_changed_wheels
-from hil.datasets.duplicates import without_copies
-from hil.datasets.wheel_log import Recording
 from hil.datasets.drive_coverage import covered
+from hil.datasets.duplicates import without_copies
 from hil.datasets.mapped_recordings import PUBLIC, read_mapped
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
@@ -23,6 +22,7 @@ from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
 from hil.datasets.unpacking import PACKED
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import NEEDS_TOPICS
 from hil.recording.mcap_scan import COPY_AGAIN

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.core.geometry import Array, Bools
-from hil.datasets.blocks import Blocks
+from hil.datasets.fit_blocks import Blocks
 from hil.datasets.nominal_robot import lever_m
 from hil.datasets.truth_jumps import Rows
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors

@@ -17,10 +17,10 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
 from hil.core.signals import WHEELS
 from hil.datasets.fit_blocks import reduce_recordings
-from hil.datasets.wheel_log import Recording
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.odd_wheels import check_odd_wheels
 from hil.datasets.strides import BLOCK_S, LEAST_ROLLED_RAD, Strides
+from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import WheelGeometry
 
 _WRONG, _RIGHT = 0.6, 0.3

@@ -15,9 +15,9 @@ from hil.core.clock import NS_PER_S, Clock
 from hil.core.event_rows import EventRows, event_lines
 from hil.core.interfaces import HELD_NOTE, Sink
 from hil.core.kind_figures import KindFigures, Limited, unlimited
-from hil.core.package_errors import PackageError, call_in_package
 from hil.core.registry import kinds, sample_names
 from hil.core.signals import KINDS, CycleRecord, Inputs, worst
+from hil.core.third_party_errors import PackageError, call_in_package
 
 _EVERY_NS = NS_PER_S // 2
 _HEALTH = "health"

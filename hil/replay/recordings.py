@@ -22,9 +22,8 @@ from hil.config.unchecked import recorded_bench
 from hil.core.errors import DataError, HilError, UsageError
 from hil.datasets.as_cycles import to_run
 from hil.datasets.azimuth_coupling import Coupling, decoupled
-from hil.datasets.fit_blocks import reduce_recordings
-from hil.datasets.wheel_log import Recording
 from hil.datasets.drive_coverage import covered
+from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.mapped_recordings import read_mapped
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
@@ -34,6 +33,7 @@ from hil.datasets.slip_factors import SlipFactors, slip_factors
 from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
+from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.recording.mcap_reader import RecordingReader
 from hil.recording.runs import RecordedRun, read_runs
