@@ -212,8 +212,8 @@ def _read(
     from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usability_check import check_not_failed
     from hil.calibration.warnings import unused_in
-    from hil.datasets.wheel_log import Recording
     from hil.datasets.truth_correction import notes_of
+    from hil.datasets.wheel_log import Recording
     from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest
     from hil.estimator.tuning import TruthRun
     from hil.loop.driven_motion import Motion
