@@ -123,12 +123,14 @@ def command(
     differences are shown beside their limits) or `differs` (the first cycle and field).
 
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
-    or plain CSV. A damaged recording gives what it has and ends with exit code 2, as
+    or plain CSV; --topics new prints a draft of the mapping of a bag.
+    A damaged recording gives what it has and ends with exit code 2, as
     does a page or a --rerun file that the disk did not take, or a viewer that did not take everything.
 
     Example: hil replay recording.mcap --page replay.html --estimator ekf --estimator mine.py:MyFilter
     """
     from hil.core.signals import sensors_with_samples
+    from hil.datasets.topic_draft import draft
     from hil.datasets.trajectory_files import write_trajectories
     from hil.replay.estimator_comparison import sensors_text
     from hil.replay.recordings import open_recording
@@ -141,6 +143,9 @@ def command(
     if page is not None:
         check_ending(page, ".html")
         check_file(page)
+    if topics == Path("new"):
+        click.echo(json.dumps({"topics": draft(recording)}) if as_json else draft(recording), nl=as_json)
+        return EXIT_PASS
     opened = open_recording(
         recording, bench=bench, calibration=calibration, topics=topics, truth=truth, coupling=coupling
     )

@@ -38,7 +38,7 @@ _POSES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "nav_msgs/msg/Odometry",
 )
-_TYPES = {
+TYPES = {
     "wheels": ("sensor_msgs/msg/JointState",),
     "odometry": (
         "nav_msgs/msg/Odometry",
@@ -119,7 +119,7 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
         rows_of["truth"] = TruthPoses(file, topics.truth)
     collectors = {topic: rows_of[table] for table, topic in names.items()}
     stamps: dict[str, list[_Stamp]] = {topic: [] for topic in collectors}
-    for topic, stamp, message in _messages(file, {topic: _TYPES[table] for table, topic in names.items()}):
+    for topic, stamp, message in _messages(file, {topic: TYPES[table] for table, topic in names.items()}):
         stamps[topic].append(stamp)
         collectors[topic].add(message)
     if empty := [topic for topic, found in stamps.items() if not found]:
@@ -168,7 +168,7 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
 
 def unused_topics(file: Path, used: Collection[str]) -> tuple[str, ...]:
     """Topics of a bag that a table of the mapping could name and none does, each with its type."""
-    kinds = {kind for group in _TYPES.values() for kind in group}
+    kinds = {kind for group in TYPES.values() for kind in group}
     with opened_bag(file) as bag:
         there = {topic.name: topic.kind for topics in bag.topics for topic in topics}
     left = (name for name, kind in sorted(there.items()) if kind in kinds and name not in used)
