@@ -19,7 +19,7 @@ from hil.robot.kinematics import WheelGeometry
 
 _RESTS_M, _STEERS_RAD = 1.5e-3, 0.05
 _LEAST_RAD, _LEAST, _EXPLAINED, _TIMES_SURE = 0.5, 0.02, 0.8, 5.0
-_ENOUGH = 0.005
+_ENOUGH, _MOST = 0.005, 2.0
 
 Four = tuple[float, float, float, float]
 
@@ -80,7 +80,10 @@ def _first(recordings: Sequence[Recording]) -> str:
 
 
 def _measured(recordings: Sequence[Recording], geometry: WheelGeometry) -> tuple[Array, Bools]:
-    """Turns (4,) of phi per turn of delta at rest, NaN where too little is steered; whether they are sure."""
+    """Turns (4,) of phi per turn of delta at rest, NaN where too little is steered; whether they are sure.
+
+    A gear of two turns of the drive or more per turn of the module is none: then the rest is wrong.
+    """
     pairs = [_at_rest(one, geometry) for one in recordings]
     steered, rolled = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
     found, sure = np.full(4, np.nan), np.zeros(4, dtype=np.bool_)
@@ -92,7 +95,7 @@ def _measured(recordings: Sequence[Recording], geometry: WheelGeometry) -> tuple
         left = p - found[i] * d
         error = float(np.sqrt(left @ left / (len(d) - 1) / (d @ d)))
         explains = 1.0 - float(left @ left) / max(float(p @ p), 1e-12) > _EXPLAINED
-        sure[i] = explains and abs(found[i]) > _TIMES_SURE * error
+        sure[i] = explains and _TIMES_SURE * error < abs(found[i]) < _MOST
     return found, sure
 
 

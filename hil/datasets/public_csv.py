@@ -26,6 +26,7 @@ from hil.datasets.unpacking import read_packed
 from hil.datasets.wheel_log import Recording, build_recording
 
 _NAMES = tuple(f"{w}_Wheel" for w in WHEELS) + tuple(f"{w}_Position" for w in WHEELS)
+_MANY, _LEAST_NS = 20, 1e6
 _ODOM_COLUMNS = ("time", ".header.stamp.secs", ".header.stamp.nsecs", ".name", ".position", ".velocity")
 _ABS_COLUMNS = (
     "time",
@@ -112,8 +113,8 @@ def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Rec
     notes = list[str]()
     recording = build_recording(
         odom.name.removesuffix(".gz").removesuffix(".csv"),
-        _log("wheels", wheel_rows, wheels, notes),
-        _log("ground truth", truth_rows, truth, notes),
+        _log(odom, "wheels", wheel_rows, wheels, notes),
+        _log(absolute, "ground truth", truth_rows, truth, notes),
         sources=(str(odom), str(absolute)),
         sha256=tuple(hashlib.sha256(b).hexdigest() for b in (wheel_bytes, truth_bytes)),
         nominal=nominal,
@@ -142,11 +143,22 @@ def _rotations(path: Path, rows: Array) -> Bools:
     )
 
 
-def _log(kind: str, rows: Array, values: Array, notes: list[str]) -> Log:
+def _log(path: Path, kind: str, rows: Array, values: Array, notes: list[str]) -> Log:
     """Log with header stamps shifted by the median receive delay: the source's clock, without jitter.
 
     Where sequence numbers show the source's period, stamps are put on it, and `notes` gets a sentence.
+
+    Raises:
+        DataError: the parts of a second are not in nanoseconds.
     """
+    largest = float(np.max(rows[np.isfinite(rows[:, 8]), 8], initial=0.0))
+    if len(rows) >= _MANY and np.ptp(rows[np.isfinite(rows[:, 7]), 7]) > 1.0 and 0.0 < largest < _LEAST_NS:
+        raise DataError(
+            str(path),
+            f"the largest .header.stamp.nsecs is {largest:.0f}: all stamps lie at the begin of their second",
+            expected="nanoseconds, up to 999999999",
+            remedy="multiply that column by 1000 if it is in microseconds, by 1000000 if in milliseconds",
+        )
     days = rows[:, 0] * 372 + rows[:, 1] * 31 + rows[:, 2]
     receive = (days - days[0]) * 86400 + rows[:, 3] * 3600 + rows[:, 4] * 60 + rows[:, 5]
     header = (rows[:, 7] - rows[0, 7]) + rows[:, 8] * 1e-9

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.datasets.sampling import is_slow
-from hil.datasets.truth_deviations import SCALE_STD, STDS, beyond, beyond_alone, significant, typical
+from hil.datasets.truth_deviations import SCALE_STD, STDS, beyond, beyond_alone, significant, typical, uneven
 from hil.datasets.truth_fit import TruthFit, truth_fit
 from hil.datasets.wheel_log import Recording
 
@@ -123,8 +123,8 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
 
 
 def _fast_alone(fit: TruthFit, fast: float) -> bool:
-    """Whether the clock of one ground truth runs otherwise than those of the others."""
-    return abs(fit.fast - fast) > max(_FAST_ALONE, STDS * fit.fast_std)
+    """Whether the clock of one ground truth runs otherwise than those of the others, and evenly."""
+    return abs(fit.fast - fast) > max(_FAST_ALONE, STDS * fit.fast_std) and not uneven(fit)
 
 
 def _corrected(one: Recording, fit: TruthFit | None, late: bool, fast: float, found: _Found) -> Recording:

@@ -26,9 +26,7 @@ def beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
     drift_rad_s = significant(
         [(complex(fit.drift_rad_s), fit.drift_std_rad_s) for fit in known], _DRIFT_RAD_S, _DRIFT_STD_RAD_S
     ).real
-    uneven_s = [
-        fit.wobble_s for fit in known if fit.wobble_s > max(_WOBBLE_S, _WOBBLE_STDS * fit.wobble_std_s)
-    ]
+    uneven_s = [fit.wobble_s for fit in known if uneven(fit)]
     if skew:
         out.append(
             f"lengths in its ground truth depend on their direction, by {200 * abs(skew):.1f} % (paths on "
@@ -46,6 +44,11 @@ def beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
             "recording (neither a delay nor a stretch); stamp both logs by one clock"
         )
     return tuple(out)
+
+
+def uneven(fit: TruthFit) -> bool:
+    """Whether the clock of a ground truth may step or bend: neither a delay nor a stretch."""
+    return fit.wobble_s > max(_WOBBLE_S, _WOBBLE_STDS * fit.wobble_std_s)
 
 
 def beyond_alone(fit: TruthFit, typical_scale: float) -> tuple[str, ...]:

@@ -88,9 +88,16 @@ def usable_wheels(where: str, wheels: Log, repairs: dict[str, int]) -> Rows:
 
 
 def _apart(where: str, later_s: float, shared_s: float) -> DataError:
-    """Error of logs that share less than a second, with the time between their first rows."""
+    """Error of logs that share less than a second: begun together, or with the time between their begins."""
     size, unit = next((size, unit) for size, unit in _SPANS if abs(later_s) >= size or size == 1.0)
     word = "after" if later_s > 0 else "before"
+    if abs(later_s) < 1.0:
+        return DataError(
+            where,
+            f"wheels and ground truth begin together and share {max(shared_s, 0.0):.2f} s by their stamps",
+            expected="stamps in seconds, >= 1 s of both",
+            remedy="multiply stamps in minutes by 60, those in hours by 3600; or record for longer",
+        )
     return DataError(
         where,
         f"wheels and ground truth share {max(shared_s, 0.0):.2f} s: the ground truth begins "

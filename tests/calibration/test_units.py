@@ -268,3 +268,11 @@ def test_a_command_refuses_such_a_file_by_name(tmp_path, capsys):
         path.write_text("\n".join([head, *lines, ""]))
         assert main(["evaluate", str(path)]) == 2
         assert f"{path}: {said}" in capsys.readouterr().err
+
+
+def test_stamps_in_minutes_are_no_clocks_apart(turn):
+    """A drive of some seconds then lasts less than one, and both logs begin together."""
+    t_s, wheels, truth_t_s, pose = turn
+    with pytest.raises(DataError, match="begin together") as error:
+        build_recording("turn", Log(t_s / 60.0, wheels), Log(truth_t_s / 60.0, pose))
+    assert "60" in error.value.remedy

@@ -375,3 +375,16 @@ def test_the_public_recordings_are_classified_and_read_whole(public_data):
     by_run = {int(r.name.split("_")[1]): r.motion for r in recordings}
     motions = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
     assert by_run == {run: motions[(run - 1) // 5] for run in by_run}
+
+
+@pytest.mark.parametrize(("name", "column"), [("abs_3.csv", 3), ("odom_3.csv", 3)])
+def test_parts_of_a_second_in_microseconds_are_named(tmp_path, name, column):
+    write_pair(tmp_path)
+    head, *rows = (tmp_path / name).read_text().splitlines()
+    fields = [row.split(";") for row in rows]
+    for one in fields:
+        one[column] = str(int(one[column]) // 1000)
+    (tmp_path / name).write_text("\n".join([head, *(";".join(one) for one in fields)]) + "\n")
+    with pytest.raises(DataError, match=rf"{name}: the largest \.header\.stamp\.nsecs is \d+") as error:
+        read_recordings([tmp_path])
+    assert "multiply that column by 1000" in error.value.remedy
