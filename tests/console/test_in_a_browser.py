@@ -13,7 +13,7 @@ from hil.console.jobs import signal_process
 from hil.console.json_files import read
 from hil.console.stop_server import IDENTITY, PAGE, STOP
 from tests.chromium import CHROMIUM, Browser
-from tests.console.test_jobs import job_in, wait_until
+from tests.console.test_jobs import HELD, job_in, wait_until
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
 
@@ -271,7 +271,7 @@ def test_values_of_every_device_are_drawn_and_a_reload_keeps_them(console, tmp_p
         figures = {"t_s": n / 2, "pose": pose, "twist": pose, "reference": None, "adhesion_n": None}
         figures |= {"adhesion_needed_n": None, "wheel_rad_s": None, "steering_rad": None}
         said += json.dumps({"live": {**figures, "devices": devices, "events": []}}) + "\n"
-    job_in(console.folder / "jobs", err=said)
+    job_in(console.folder / "jobs", out=json.dumps({"ended": "duration", "held": HELD}), err=said)
     browser = opened(console, tmp_path / "profile", 390, 900)
     try:
         browser.until("rows.length === 40 && trail.length >= 40", console.frame)
