@@ -141,7 +141,7 @@ def sensor_log(
     mounts = [_mount(path, table, topics.body_frame, frames) for table in tables]
     scale = topics.tracker.scale if topics.tracker else 1.0
     parameters = AlignmentParameters(imu=mounts[0], tracker=mounts[1], tracker_scale=scale)
-    late_s = [table.latency_s if table else 0.0 for table in tables]
+    late_s = [0.0 if table is None or table.latency_s == "fit" else table.latency_s for table in tables]
     return shifted(SensorLog(imu, tracker, parameters), *late_s)
 
 

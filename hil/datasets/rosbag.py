@@ -21,11 +21,12 @@ from hil.core.geometry import Array
 from hil.datasets.bag_check import CONVERT
 from hil.datasets.bag_messages import CDR, STORAGES, opened_bag, storage_files, storage_suffix
 from hil.datasets.bag_rows import JointRows, TruthPoses
-from hil.datasets.bag_sensors import ImuRows, TrackerRows, check_sensor_times, sensor_log
+from hil.datasets.bag_sensors import ImuRows, TrackerRows, check_sensor_times, sensor_log, shifted
 from hil.datasets.cleaning import Log
 from hil.datasets.frame_tree import broken_frames
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import motion_of
+from hil.datasets.sensor_times import lateness_s
 from hil.datasets.topic_map import TopicMap, WheelTopic
 from hil.datasets.twist_rows import TwistRows
 from hil.datasets.unpacking import unpacked
@@ -163,7 +164,27 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
         imu.samples(times[names["imu"]]) if "imu" in names else (),
         tracker.samples(times[names["tracker"]]) if "tracker" in names else (),
     )
-    return replace(found, sensors=log)
+    return _with_fitted(file, topics, replace(found, sensors=log), robot)
+
+
+def _with_fitted(file: Path, topics: TopicMap, found: Recording, robot: Nominal) -> Recording:
+    """The recording with stamps shifted where a table says `latency_s = "fit"`; each shift is a repair."""
+    tables = (("imu", topics.imu), ("tracker", topics.tracker))
+    asked = [name for name, table in tables if table is not None and table.latency_s == "fit"]
+    if not asked:
+        return found
+    late = lateness_s(found, robot.geometry)
+    if unknown := [f"[{name}]" for name in asked if name not in late]:
+        raise DataError(
+            str(file),
+            f"its motion does not determine the lateness of {' and '.join(unknown)}",
+            expected="a drive that changes its speed and direction",
+            remedy="give latency_s in numbers",
+        )
+    by_s = [late[name] if name in asked else 0.0 for name, _ in tables]
+    shifts = {f"shift of the stamps of [{name}] by {late[name]:.3f} s, fitted": 1 for name in asked}
+    repairs = {**found.repairs, **shifts}
+    return replace(found, sensors=shifted(found.sensors, *by_s), repairs=repairs)
 
 
 def unused_topics(file: Path, used: Collection[str]) -> tuple[str, ...]:

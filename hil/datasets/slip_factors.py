@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.geometry import Array
-from hil.datasets.sensor_checks import moves_by_camera, moves_by_truth, moves_by_wheels, turns_by_gyro
+from hil.datasets.sensor_moves import moves_by_camera, moves_by_truth, moves_by_wheels, turns_by_gyro
 from hil.datasets.wheel_log import Recording
 
 AXES = ("along", "across", "turning")

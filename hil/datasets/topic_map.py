@@ -21,7 +21,7 @@
     [imu]                                      # optional: sensor_msgs/Imu
     topic = "/imu/data"
     frame = "imu_link"                         # mount from /tf_static, or mount_rotation_wxyz
-    latency_s = 0.0                            # its stamps are late by so much
+    latency_s = 0.0                            # its stamps are late by so much, or "fit"
     gravity = "in_force"                       # "removed" where the driver has taken it out
     [tracker]                                  # optional: an odometry with a frame of its own
     topic = "/vio/odometry"                    # PoseStamped, PoseWithCovarianceStamped or Odometry
@@ -113,14 +113,15 @@ class SensorTopic(Table):
         topic: topic of the messages.
         frame: frame of the sensor, whose mount is then that of `/tf_static`.
         mount_position_m, mount_rotation_wxyz: pose of the sensor's frame on the robot, without `frame`.
-        latency_s: time by which its stamps are late, s.
+        latency_s: time by which its stamps are late, s; `fit` for the time at which its motion is most like
+            that of the wheels.
     """
 
     topic: str
     frame: str | None = None
     mount_position_m: Position = (0.0, 0.0, 0.0)
     mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
-    latency_s: Annotated[float, Within(-0.5, 0.5, "s; more is another clock")] = 0.0
+    latency_s: Annotated[float, Within(-0.5, 0.5, "s; more is another clock")] | Literal["fit"] = 0.0
 
     @model_validator(mode="after")
     def _one_mount(self) -> SensorTopic:

@@ -291,3 +291,32 @@ def test_topics_that_are_not_used_are_named(bag, tmp_path, capsys, command):
     assert f"/vio ({ODOMETRY})" in line
     assert "/chip" not in line
     assert "/tf_static" not in line
+
+
+def test_late_stamps_are_named_and_fitted(drive, tmp_path, capsys):
+    late = write(tmp_path / "curve_1", drive, late_s=0.08)
+    path = mapping(tmp_path, FRAMES)
+    assert main(["replay", str(late), "--topics", str(path), "--estimator", "odometry", "--json"]) == 2
+    (line,) = [one for one in json.loads(capsys.readouterr().out)["problems"] if "stamps" in one]
+    found = re.search(r"\[imu\]: its stamps are (0\.\d+) s later .* add (0\.\d+) to its latency_s", line)
+    assert float(found[1]) == pytest.approx(0.08, abs=4e-3)
+    path = mapping(tmp_path, FRAMES.replace('frame = "chip"', 'frame = "chip"\nlatency_s = "fit"'))
+    assert main(["replay", str(late), "--topics", str(path), "--estimator", "odometry", "--json"]) == 0
+    assert any("stamps of [imu] by 0.0" in one for one in json.loads(capsys.readouterr().out)["warnings"])
+    gyro = [g for m in measured(late, path) for g in m.gyro]
+    at_s = drive.truth_s[0] + np.array([g.stamp.t_ns for g in gyro]) * 1e-9
+    turning = np.interp(at_s, drive.truth_s, np.gradient(drive.pose[:, 2], drive.truth_s))
+    assert np.abs(np.array([g.yaw_rate_rad_s for g in gyro]) - turning).max() < 5e-3
+
+
+def test_a_drive_at_one_speed_does_not_determine_it(drive, tmp_path):
+    """Nothing is said of stamps then, and `fit` is refused."""
+    from dataclasses import replace
+
+    still = {name: np.repeat(getattr(drive, name)[:1], len(drive.t_s), axis=0) for name in ("phi", "delta")}
+    rng = np.random.default_rng(1)
+    pose = drive.pose[:1] + rng.normal(0.0, 1e-4, drive.pose.shape)
+    bag = write(tmp_path / "rest_1", replace(drive, pose=pose, rate=0.0 * drive.rate, **still))
+    tables = FRAMES.replace('frame = "chip"', 'frame = "chip"\nlatency_s = "fit"')
+    with pytest.raises(DataError, match=r"does not determine the lateness of \[imu\]"):
+        read_bag(bag, read_topic_map(mapping(tmp_path, tables)))
