@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import hil
+from hil.core.call_chain import GROUP
 from hil.core.known_names import KINDS
 
 _PACKAGE = Path(hil.__file__).resolve().parent
-_GROUP = "hil.devices"
 FAULTS = _PACKAGE / "faults" / "of_the_emulated_bench.json"
 """Faults of the profile `emulated`; `docs/make_fault_reference.py` writes the table."""
 TABLED = "emulated"
@@ -44,7 +44,7 @@ def devices() -> dict[str, DeclaredKind]:
     Raises:
         ConfigError: an installed package adds something that cannot be used.
     """
-    if not entry_points(group=_GROUP):
+    if not entry_points(group=GROUP):
         return {name: _kind(name) for name in KINDS}
     from hil.core.registry import kinds
 

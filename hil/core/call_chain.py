@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.core.errors import HilError, error_text, shown_path
-from hil.core.registry import GROUP
 
 _PACKAGE = os.path.realpath(Path(__file__).parents[1])
 _SHIPPED = os.path.realpath(os.path.join(_PACKAGE, "procedures"))
 _PYTHON = tuple(os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib"))
 _INSTALLED = ("site-packages", "dist-packages")
+GROUP = "hil.devices"
+"""Group of entry points by which an installed package adds kinds and models of devices."""
 _FROM_ELSEWHERE = "_hil_frames"
 _MOST = 50
 

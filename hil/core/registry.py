@@ -16,6 +16,7 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
+from hil.core.call_chain import GROUP
 from hil.core.device import DeviceKind, DeviceModel
 from hil.core.errors import ConfigError, did_you_mean, nearest
 from hil.core.further_device import FurtherKind, is_label
@@ -29,7 +30,6 @@ _NAME = re.compile("[a-z][a-z0-9_]*")
 _TAKEN = ("all", "plant", "none", *NO_KINDS)
 _OF_A_KIND = ("name", "noun", "sample", "models")
 _OF_A_MODEL = ("kind", "name", "title", "config", "driver")
-GROUP = "hil.devices"
 _OURS = "hil.drivers"
 _EXPECTED = "a subclass of hil.devkit.DeviceKind or hil.devkit.DeviceModel"
 _further = cache(FurtherKind)

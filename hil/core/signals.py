@@ -23,7 +23,8 @@ from hil.core.known_names import KINDS as KINDS
 from hil.core.stop_causes import SEPARATOR
 
 WHEELS = ("FL", "BL", "BR", "FR")
-SERVOS = tuple(f"drive_{w}" for w in WHEELS) + tuple(f"steer_{w}" for w in WHEELS)
+DRIVES, STEERS = tuple(f"drive_{w}" for w in WHEELS), tuple(f"steer_{w}" for w in WHEELS)
+SERVOS = DRIVES + STEERS
 
 
 class Status(str, enum.Enum):
@@ -81,12 +82,27 @@ class ServoSample:
     velocity_rad_s: Array
     current_a: Array
     status: tuple[Status, ...]
-    alert: tuple[int, ...] = (0,) * 8
+    alert: tuple[int, ...] = (0,) * len(SERVOS)
 
     @property
     def ok(self) -> bool:
         """Whether all eight servos answered."""
         return self.status == _ALL_OK
+
+    @property
+    def drive_rad(self) -> Array:
+        """Angles (4,) of the drives, rad, in the order of `DRIVES`."""
+        return self.position_rad[: len(DRIVES)]
+
+    @property
+    def steer_rad(self) -> Array:
+        """Angles (4,) of the steering axes, rad, in the order of `STEERS`."""
+        return self.position_rad[len(DRIVES) :]
+
+    @property
+    def drive_rad_s(self) -> Array:
+        """Rates (4,) of the drives, rad/s, in the order of `DRIVES`."""
+        return self.velocity_rad_s[: len(DRIVES)]
 
 
 @dataclass(frozen=True)
@@ -108,7 +124,7 @@ class ServoHealth:
     voltage_v: Array
     temperature_c: Array
     status: tuple[Status, ...]
-    clipped: tuple[int, ...] = (0,) * 8
+    clipped: tuple[int, ...] = (0,) * len(SERVOS)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from hil.core.errors import ConfigError
 from hil.core.geometry import rotated
 from hil.core.signals import (
+    SERVOS,
     GyroMeasurement,
     ImuSample,
     Inputs,
@@ -28,7 +29,7 @@ from hil.loop.pose_alignment import AT_ORIGIN, Mount, PoseAlignment, Unwrapped
 
 _MIN_IN_PLANE_GRAVITY_M_S2 = 1.0
 _OK = Status.OK
-_ALL_OK, _ALL_VALID = (_OK,) * 8, (True,) * 4
+_ALL_OK, _ALL_VALID = (_OK,) * len(SERVOS), (True,) * 4
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class Alignment:
         if sample.status != _ALL_OK:
             ok = [status is _OK for status in sample.status]
             valid = (ok[0] and ok[4], ok[1] and ok[5], ok[2] and ok[6], ok[3] and ok[7])
-        angles, rates = sample.position_rad, sample.velocity_rad_s[:4]
+        angles, rates = sample.position_rad, sample.drive_rad_s
         if not self._as_they_are:
             angles, rates = self._signs * (angles - self._zeros), self._drive_sign * rates
         return WheelMeasurement(sample.stamp, angles[:4], rates, angles[4:], valid)

@@ -20,6 +20,7 @@ import numpy as np
 from hil.core.clock import NS_PER_S, Clock, nanoseconds, sleep_punctually
 from hil.core.errors import SafetyStop, reason_of
 from hil.core.signals import (
+    SERVOS,
     ImuSample,
     Inputs,
     MocapSample,
@@ -220,7 +221,9 @@ def _at_rest(cycle: int, start: RobotState) -> Inputs:
     t_ns = start.t_ns + cycle * _PERIOD_NS
     stamp, upright, still = Stamp(t_ns, t_ns, cycle), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     place = np.array([start.pose_body_in_wall[0], start.pose_body_in_wall[1], 0.0])
-    servos = ServoSample(stamp, np.zeros(8), np.zeros(8), np.zeros(8), (Status.OK,) * 8)
+    servos = ServoSample(
+        stamp, np.zeros(len(SERVOS)), np.zeros(len(SERVOS)), np.zeros(len(SERVOS)), (Status.OK,) * len(SERVOS)
+    )
     inertial = ImuSample(stamp, upright, still, still, np.array([GRAVITY_M_S2, 0.0, 0.0]), ())
     camera = TrackerSample(stamp, still, upright, still, still, 3)
     capture = MocapSample(stamp, place, upright, True, 0.0, 0.0)

@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError, UsageError, did_you_mean
@@ -27,10 +27,8 @@ from hil.procedure.measurements import Measurement, check_unique
 from hil.procedure.parameters import check_model
 from hil.robot.trajectories import Trajectory
 
-if TYPE_CHECKING:
-    from hil.procedure.context import Context
-
-Body = Callable[["Context"], object]
+Body = Callable[[Any], object]
+"""Function of a procedure; its argument is a `hil.procedure.context.Context`."""
 Plan = Callable[[Any, BenchConfig], Iterable["PlannedStep"]]
 Declare = Callable[[Any], Iterable[Measurement]] | Callable[[Any, BenchConfig], Iterable[Measurement]]
 Measurements = Sequence[Measurement] | Declare
@@ -116,8 +114,11 @@ class Procedure:
         except OSError:
             return None
 
-    def perform(self, ctx: Context) -> None:
+    def perform(self, ctx: Any) -> None:
         """Run the function.
+
+        Args:
+            ctx: the `hil.procedure.context.Context` of the run.
 
         Raises:
             UsageError: the function returned a coroutine or a generator, whose body has not run.

@@ -161,7 +161,7 @@ def test_nothing_turns(watched: Watch) -> None:
     """Enabled servos hold their angles."""
     good = [s for s in watched.samples("servos") if s.ok]
     span_rad = np.ptp([s.position_rad for s in good], axis=0)
-    moved = {SERVOS[i]: float(span_rad[i]) for i in range(8) if span_rad[i] > REST_RAD}
+    moved = {SERVOS[i]: float(span_rad[i]) for i in range(len(SERVOS)) if span_rad[i] > REST_RAD}
     assert not moved, f"turned at rest (rad): {moved}"
 
 
@@ -183,7 +183,7 @@ def test_steering_encoders_and_servos_agree(watched: Watch) -> None:
     encoders = [s for s in watched.samples("encoders") if worst(s) is Status.OK]
     servos = [s for s in watched.samples("servos") if s.ok]
     horn_rad = np.median([s.angle_rad for s in encoders], axis=0)
-    servo_rad = np.median([s.position_rad[4:] for s in servos], axis=0)
+    servo_rad = np.median([s.steer_rad for s in servos], axis=0)
     apart_rad = np.abs((horn_rad - servo_rad + np.pi) % (2.0 * np.pi) - np.pi)
     assert np.all(apart_rad < HORN_RAD), f"steering axes FL, BL, BR, FR differ by {apart_rad} rad"
 

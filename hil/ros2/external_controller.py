@@ -20,11 +20,11 @@ from hil.core.external_commands import ExternalCommand, ExternalCommands
 from hil.core.geometry import Array
 from hil.core.interfaces import ExternalController
 from hil.core.known_names import ROS2
-from hil.core.signals import SERVOS, CycleRecord, WheelMeasurement, WheelSetpoint
+from hil.core.signals import DRIVES, SERVOS, STEERS, CycleRecord, WheelMeasurement, WheelSetpoint
 from hil.loop.alignment import AlignmentParameters
 
 COMMAND, LATE, CLOCK = "ros2_command", "ros2_late", "ros2_time"
-_DRIVES, _STEERS = SERVOS[:4], SERVOS[4:]
+_DRIVES, _STEERS = DRIVES, STEERS
 _SYNCHRONISED = (
     "commands do not copy the stamp of /joint_states: this run is synchronised, and need not repeat"
 )

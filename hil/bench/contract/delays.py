@@ -97,7 +97,7 @@ def delays_in_motion(bench: Bench) -> Iterator[Finding]:
         at_loop_rate(bench, 0.3, still(start))
         for number in range(_TIMES):
             way = 1.0 if number % 2 == 0 else -1.0
-            turn = ServoSetpoint(np.zeros(4), start.position_rad[4:] + way * 0.5 * _TURN_RAD)
+            turn = ServoSetpoint(np.zeros(4), start.steer_rad + way * 0.5 * _TURN_RAD)
             seen = _watch(bench, turn)
             steering.append(_mean_delay_s(*seen["servos"]))
             if "encoders" in seen:
@@ -154,10 +154,10 @@ def _watch(bench: Bench, setpoint: ServoSetpoint) -> dict[str, tuple[Array, Arra
     if sensor is not None:
         sensor.read()
     began_ns = next_ns = bench.clock.now_ns()
-    rows["servos"].append((began_ns, float(before.position_rad[4:].mean())))
+    rows["servos"].append((began_ns, float(before.steer_rad.mean())))
     for _ in range(round(_LASTS_S * bench.config.loop.rate_hz)):
         servos.command(setpoint)
-        rows["servos"] += [(s.stamp.t_ns, float(s.position_rad[4:].mean())) for s in servos.read() if s.ok]
+        rows["servos"] += [(s.stamp.t_ns, float(s.steer_rad.mean())) for s in servos.read() if s.ok]
         if sensor is not None:
             rows["encoders"] += [
                 (s.stamp.t_ns, float(s.angle_rad.mean())) for s in sensor.read() if worst(s) is Status.OK
@@ -190,16 +190,14 @@ def _rolling_delay_s(bench: Bench, start: ServoSample, rate_rad_s: float) -> flo
     """Delay of the wheels, s: where the line fitted to their steady rotation meets their angle at rest."""
     servos = bench.rig.servos
     assert servos is not None
-    rest = float(at_loop_rate(bench, 0.4, still(start)).position_rad[:4].mean())
+    rest = float(at_loop_rate(bench, 0.4, still(start)).drive_rad.mean())
     began_ns = next_ns = bench.clock.now_ns()
-    setpoint = ServoSetpoint(np.full(4, rate_rad_s), start.position_rad[4:].copy())
+    setpoint = ServoSetpoint(np.full(4, rate_rad_s), start.steer_rad.copy())
     rows = list[tuple[float, float]]()
     for _ in range(round(_LASTS_S * bench.config.loop.rate_hz)):
         servos.command(setpoint)
         rows += [
-            ((s.stamp.t_ns - began_ns) / NS_PER_S, float(s.position_rad[:4].mean()))
-            for s in servos.read()
-            if s.ok
+            ((s.stamp.t_ns - began_ns) / NS_PER_S, float(s.drive_rad.mean())) for s in servos.read() if s.ok
         ]
         next_ns += nanoseconds(1.0 / bench.config.loop.rate_hz)
         bench.clock.sleep_until_ns(next_ns)

@@ -17,7 +17,7 @@ from hil.bench.contract.device_under_test import Broken
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.geometry import Array
-from hil.core.signals import SERVOS, ServoSample, ServoSetpoint
+from hil.core.signals import DRIVES, SERVOS, STEERS, ServoSample, ServoSetpoint
 
 _PATIENCE_S = 1.0
 _TRIES = 5
@@ -94,12 +94,12 @@ def enabled(bench: Bench) -> Iterator[ServoSample]:
 
 def still(sample: ServoSample) -> ServoSetpoint:
     """Setpoint: wheels at rest, steering angles of a sample."""
-    return ServoSetpoint(np.zeros(4), sample.position_rad[4:].copy())
+    return ServoSetpoint(np.zeros(4), sample.steer_rad.copy())
 
 
 def rolling(sample: ServoSample, rate_rad_s: float = _RATE_RAD_S) -> ServoSetpoint:
     """Setpoint: all wheels at one rate, steering angles of a sample."""
-    return ServoSetpoint(np.full(4, rate_rad_s), sample.position_rad[4:].copy())
+    return ServoSetpoint(np.full(4, rate_rad_s), sample.steer_rad.copy())
 
 
 def enabling_moves_nothing(bench: Bench) -> str:
@@ -114,15 +114,15 @@ def enabling_moves_nothing(bench: Bench) -> str:
 def goals_are_reached(bench: Bench) -> str:
     """Wheel rates and steering angles reach their goals, with the right signs."""
     with enabled(bench) as start:
-        turned = ServoSetpoint(5.0 * _STEP, start.position_rad[4:] + _STEP)
+        turned = ServoSetpoint(5.0 * _STEP, start.steer_rad + _STEP)
         sample = at_loop_rate(bench, 1.5, turned)
-        _near("wheel rates", sample.velocity_rad_s[:4], turned.drive_velocity_rad_s, _RATE_OFF_RAD_S, "rad/s")
-        reported = _near("steering", sample.position_rad[4:], turned.steer_position_rad, _STEERS_RAD)
-        moved = sample.position_rad[:4] - start.position_rad[:4]
+        _near("wheel rates", sample.drive_rad_s, turned.drive_velocity_rad_s, _RATE_OFF_RAD_S, "rad/s")
+        reported = _near("steering", sample.steer_rad, turned.steer_position_rad, _STEERS_RAD)
+        moved = sample.drive_rad - start.drive_rad
         if not np.all(np.sign(moved) == np.sign(turned.drive_velocity_rad_s)):
             raise Broken(f"wheels turned by {np.round(moved, 2)} rad", "the signs of the goals", _HORN)
         back = at_loop_rate(bench, 1.0, still(start))
-        _near("steering, back again,", back.position_rad[4:], start.position_rad[4:], _STEERS_RAD)
+        _near("steering, back again,", back.steer_rad, start.steer_rad, _STEERS_RAD)
     return reported
 
 
@@ -134,7 +134,7 @@ def stop_holds(bench: Bench) -> str:
         resting = at_loop_rate(bench, 0.4)
         later = at_loop_rate(bench, 0.4)
         _near("turned after the stop", later.position_rad, resting.position_rad, _RESTS_RAD)
-        return _near("steering", later.position_rad[4:], start.position_rad[4:], _STEERS_RAD)
+        return _near("steering", later.steer_rad, start.steer_rad, _STEERS_RAD)
 
 
 def a_forgotten_wheel_stops(bench: Bench) -> str:
@@ -144,13 +144,13 @@ def a_forgotten_wheel_stops(bench: Bench) -> str:
         pause(bench, _SILENT_S)
         quiet = fresh(bench)
         later = at_loop_rate(bench, 0.2)
-        went_rad = float(np.max(quiet.position_rad[:4] - moving.position_rad[:4]))
+        went_rad = float(np.max(quiet.drive_rad - moving.drive_rad))
         if went_rad >= 0.8:
             raise Broken(
                 f"wheels went on for {went_rad:.2f} rad", "less than 0.8 rad", "set servos.watchdog_s"
             )
         _near("turned in silence", later.position_rad, quiet.position_rad, 0.02)
-        _near("steering", later.position_rad[4:], start.position_rad[4:], _STEERS_RAD)
+        _near("steering", later.steer_rad, start.steer_rad, _STEERS_RAD)
         return f"after {went_rad:.2f} rad"
 
 
@@ -175,9 +175,7 @@ def obeys_after_silence(bench: Bench) -> str:
             )
         fresh(bench)
         moving = at_loop_rate(bench, 0.5, rolling(start))
-        return _near(
-            "wheel rates", moving.velocity_rad_s[:4], np.full(4, _RATE_RAD_S), _RATE_OFF_RAD_S, "rad/s"
-        )
+        return _near("wheel rates", moving.drive_rad_s, np.full(4, _RATE_RAD_S), _RATE_OFF_RAD_S, "rad/s")
 
 
 def goals_beyond_limits_are_clipped(bench: Bench) -> str:
@@ -185,7 +183,7 @@ def goals_beyond_limits_are_clipped(bench: Bench) -> str:
     with enabled(bench) as start:
         sample = at_loop_rate(bench, 0.6, rolling(start, 50.0))
         limit = _table(bench).velocity_limit_rad_s
-        slowest, fastest = (float(f(sample.velocity_rad_s[:4])) for f in (np.min, np.max))
+        slowest, fastest = (float(f(sample.drive_rad_s)) for f in (np.min, np.max))
         if fastest > limit + 0.2 or slowest <= 0.5:
             raise Broken(f"{slowest:.2f} to {fastest:.2f} rad/s", f"up to {limit:g} rad/s", _HORN)
         return f"{fastest:.2f} of {limit:g} rad/s"
@@ -268,7 +266,7 @@ def _within(values: Array, limits: tuple[float, float]) -> bool:
 def _near(what: str, values: Array, wanted: Array, tolerance: float, unit: str = "rad") -> str:
     """Compare values with goals; raises `Broken` with the names of joints that exceed the tolerance."""
     off = np.abs(values - wanted)
-    names = SERVOS if len(off) == 8 else SERVOS[:4] if unit == "rad/s" else SERVOS[4:]
+    names = SERVOS if len(off) == 8 else DRIVES if unit == "rad/s" else STEERS
     if not np.all(off <= tolerance):
         message = ", ".join(f"{n} {o:.3f}" for n, o in zip(names, off, strict=True) if not o <= tolerance)
         raise Broken(f"{what}: off by {message} {unit}", f"at most {tolerance:g} {unit}", _HORN)

@@ -10,7 +10,7 @@ import numpy as np
 from hil.bench.loop_settings import motion_check
 from hil.bench.pipelines import BenchModel
 from hil.core.clock import nanoseconds
-from hil.core.signals import CycleRecord, Inputs, ServoHold, ServoSample, Stamp, Status
+from hil.core.signals import SERVOS, CycleRecord, Inputs, ServoHold, ServoSample, Stamp, Status
 from hil.loop.alignment import Alignment
 
 _RESTS_NS = nanoseconds(0.2)
@@ -65,5 +65,5 @@ def _servo_sample(hold: ServoHold) -> ServoSample:
     """The angles of a status as a sample; servos that did not answer count as timed out."""
     known = np.isfinite(hold.position_rad).tolist()
     status = tuple([Status.OK if one else Status.TIMEOUT for one in known])
-    unknown = np.full(8, np.nan)
+    unknown = np.full(len(SERVOS), np.nan)
     return ServoSample(Stamp(hold.t_ns, hold.t_ns, 0), hold.position_rad, unknown, unknown, status)

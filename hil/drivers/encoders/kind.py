@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hil.config.encoders import EncodersConfig
 from hil.core.device import DeviceKind, Figures, Plot, Topic
 from hil.core.finding import Finding, Level
-from hil.core.signals import SERVOS, WHEELS, EncoderSample, Inputs
+from hil.core.signals import STEERS, WHEELS, EncoderSample, Inputs
 from hil.drivers.doctor_watch import Watched, losses
 from hil.drivers.encoders.as5045.model import As5045
 
@@ -88,7 +88,7 @@ def _node(watched: Watched) -> Finding:
 
 def encoder_state(sample: EncoderSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/JointState` of the external encoders' own angles, without those that cannot be used."""
-    return ros.joints(sample.stamp.t_ns, SERVOS[4:], position=sample.angle_rad)
+    return ros.joints(sample.stamp.t_ns, STEERS, position=sample.angle_rad)
 
 
 class Encoders(DeviceKind):

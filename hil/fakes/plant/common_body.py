@@ -15,6 +15,7 @@ import numpy as np
 from hil.core.errors import UsageError
 from hil.core.geometry import Array, ArrayLike
 from hil.core.named_records import Records
+from hil.core.signals import SERVOS
 from hil.fakes.body_interface import BodyMotion, HoldingForces, JointCommand, Plant, PlantState
 from hil.fakes.plant.named_numbers import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_PWM, MODE_VELOCITY
 from hil.fakes.plant.parameters import TrueParameters
@@ -64,7 +65,7 @@ class SteppedBody(Plant):
         self._goals: Any = self._commands.goal.data
         self._commands.rate_limit[:] = self._commands.amps_limit[:] = np.inf
         self._commands.duty_limit[:] = 1.0
-        self._settings: list[tuple[str, float, float, float] | None] = [None] * 8
+        self._settings: list[tuple[str, float, float, float] | None] = [None] * len(SERVOS)
         self._truth: PlantState | None = None
         self._motion = robots["state"]["origin"].view(np.float64)
         self._headings = _view(self._state.heading)

@@ -13,6 +13,7 @@ import numpy as np
 from hil.config.robot import RobotConfig
 from hil.config.servo_models import ServoModel
 from hil.core.geometry import Array
+from hil.core.signals import SERVOS
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.plant.surfaces import Surface
 from hil.robot.kinematics import WheelGeometry
@@ -115,12 +116,12 @@ def nominal_joints(servos: ServoModel) -> JointParameters:
     """
     motor, volts = servos.motor, servos.recommended_v / _TUNED_AT_V
     return JointParameters(
-        torque_constant_n_m_a=np.full(8, motor.torque_constant_n_m_a),
-        back_emf_v_s_rad=np.full(8, motor.back_emf_v_s_rad),
-        resistance_ohm=np.full(8, motor.resistance_ohm),
-        inertia_kg_m2=np.full(8, motor.inertia_kg_m2),
+        torque_constant_n_m_a=np.full(len(SERVOS), motor.torque_constant_n_m_a),
+        back_emf_v_s_rad=np.full(len(SERVOS), motor.back_emf_v_s_rad),
+        resistance_ohm=np.full(len(SERVOS), motor.resistance_ohm),
+        inertia_kg_m2=np.full(len(SERVOS), motor.inertia_kg_m2),
         coulomb_n_m=np.array([0.04] * 4 + [0.03] * 4),
-        viscous_n_m_s=np.full(8, 0.023),
+        viscous_n_m_s=np.full(len(SERVOS), 0.023),
         play_rad=np.full(4, math.radians(0.125)),
         velocity_p_v_s_rad=_VELOCITY_P_V_S_RAD * volts,
         velocity_i_v_rad=_VELOCITY_I_V_RAD * volts,

@@ -14,6 +14,7 @@ import numpy as np
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DataError
 from hil.core.geometry import Array
+from hil.core.signals import SERVOS
 from hil.fakes.body_interface import JointCommand, Plant, PlantState
 
 _GRID_S = 0.005
@@ -93,7 +94,7 @@ class RecordedRobot(Plant):
 
     def joints(self) -> tuple[Array, Array, Array]:
         """Return recorded angles (8,), rad, and rates (8,), rad/s; currents (8,), A, are unknown and zero."""
-        return self._row[_JOINTS], self._row[_RATES], np.zeros(8)
+        return self._row[_JOINTS], self._row[_RATES], np.zeros(len(SERVOS))
 
     def truth(self) -> PlantState:
         """Return the recorded state at the present time."""
@@ -105,7 +106,7 @@ class RecordedRobot(Plant):
             acceleration_body=row[_ACCELERATION].copy(),
             joint_position_rad=row[_JOINTS].copy(),
             joint_velocity_rad_s=row[_RATES].copy(),
-            joint_current_a=np.zeros(8),
+            joint_current_a=np.zeros(len(SERVOS)),
             steering_true_rad=row[4:8].copy(),
             normal_load_n=np.full(4, _EVEN_LOAD_N),
             slip_m_s=np.zeros((4, 2)),

@@ -22,7 +22,7 @@ _WAITS_SHARE = 0.4
 """Share of the longest time without a complete read after which the wheels wait."""
 _REPORT_NS = 50_000_000
 """Time from a step of an encoder to the stop, ns."""
-_ALL_OK = (Status.OK,) * 8
+_ALL_OK = (Status.OK,) * len(SERVOS)
 _REMEDIES = {
     Status.HARDWARE_ERROR: "remove the cause, then reboot it",
     Status.RESET: "it has restarted: check its supply",
@@ -64,7 +64,7 @@ class ServoCheck(Check):
         self._lost_ns = 0
         self._excused = self.waits = False
         self._missed: dict[int, tuple[int, Status]] = {}
-        self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
+        self._last_rad, self._last_ns = [math.nan] * len(SERVOS), [0] * len(SERVOS)
         self._outside = [math.nan] * 4
         self._slipped: tuple[int, str] | None = None
 
@@ -183,13 +183,13 @@ class ServoCheck(Check):
         """Find steps that no motor can make: the servo's encoder has slipped."""
         t_ns, last_rad = sample.stamp.t_ns, self._last_rad
         if sample.status == _ALL_OK:
-            for j in range(8):
+            for j in range(len(SERVOS)):
                 if not -STEP_RAD <= angles[j] - last_rad[j] <= STEP_RAD:
                     break
             else:
-                self._last_rad, self._last_ns = angles, [t_ns] * 8
+                self._last_rad, self._last_ns = angles, [t_ns] * len(SERVOS)
                 return
-        for j in range(8):
+        for j in range(len(SERVOS)):
             if sample.status[j] is Status.OK:
                 step_rad = angles[j] - last_rad[j]
                 dt_s = max(t_ns - self._last_ns[j], 0) / NS_PER_S

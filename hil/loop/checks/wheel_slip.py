@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array, nearest_turn
-from hil.core.signals import SERVOS, WHEELS, Event, WheelMeasurement
+from hil.core.signals import DRIVES, WHEELS, Event, WheelMeasurement
 from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
 from hil.loop.cycle_data import Check, Cycle
 from hil.robot.kinematics import WheelGeometry
@@ -45,7 +45,7 @@ class WheelSlipCheck(Check):
 
     def __init__(self, geometry: WheelGeometry, ids: tuple[int, ...] = ()) -> None:
         named = [f", ID {i}" for i in ids[:4]] or [""] * 4
-        self._names = [f"wheel {w} ({s}{i})" for w, s, i in zip(WHEELS, SERVOS[:4], named, strict=True)]
+        self._names = [f"wheel {w} ({s}{i})" for w, s, i in zip(WHEELS, DRIVES, named, strict=True)]
         self._radius_m = geometry.radius_m.tolist()
         self._zero_rad = geometry.steering_zero_rad.tolist()
         self._others = _by_the_others(np.asarray(geometry.projection()))

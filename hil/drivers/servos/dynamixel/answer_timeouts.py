@@ -24,7 +24,7 @@ class AnswerTimeouts:
     def __init__(self, config: ServosConfig, device: str, now_ns: int) -> None:
         self._config, self._device = config, device
         self._limit_ns = nanoseconds(config.fail_after_s)
-        self._good_ns = [now_ns] * 8
+        self._good_ns = [now_ns] * len(SERVOS)
 
     def skip_pause(self, silence_ns: int) -> None:
         """Leave out `silence_ns` without requests, in which no servo failed to answer."""
@@ -33,7 +33,7 @@ class AnswerTimeouts:
     def record(self, status: tuple[Status, ...], now_ns: int) -> bool:
         """Record which servos were usable at `now_ns`; returns whether all were."""
         if status is ALL_OK:
-            self._good_ns = [now_ns] * 8
+            self._good_ns = [now_ns] * len(SERVOS)
             return True
         for j, one in enumerate(status):
             if one is Status.OK:
@@ -54,7 +54,7 @@ class AnswerTimeouts:
         """
         if self.record(status, now_ns):
             return
-        late = [j for j in range(8) if now_ns - self._good_ns[j] > self._limit_ns]
+        late = [j for j in range(len(SERVOS)) if now_ns - self._good_ns[j] > self._limit_ns]
         if late:
             raise self._failure(late, status, alert)
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from hil.config.servos import ServosConfig
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
-from hil.core.signals import Status
+from hil.core.signals import SERVOS, Status
 from hil.drivers.servos.dynamixel.bus import Bus, Exchange
 from hil.drivers.servos.dynamixel.late_servos import LatencyProbe
 from hil.drivers.servos.dynamixel.packets import NO_ANSWER, Answer, GroupRead
@@ -33,10 +33,10 @@ _DEAD_AFTER = 3
 _AGE_NS = 2_500_000
 _REORDERED_NS = nanoseconds(1.0)
 """Time without a miss after which the list has its first order again."""
-_ALL = tuple(range(8))
-_NONE_MISSED = [0] * 8
-_FULL_LEVELS = (FULL_LEVEL,) * 8
-ALL_OK = (Status.OK,) * 8
+_ALL = tuple(range(len(SERVOS)))
+_NONE_MISSED = [0] * len(SERVOS)
+_FULL_LEVELS = (FULL_LEVEL,) * len(SERVOS)
+ALL_OK = (Status.OK,) * len(SERVOS)
 
 
 class Reading(NamedTuple):
@@ -68,7 +68,7 @@ class _Kind(NamedTuple):
     fields: Fields
 
 
-_NO_ALERT = (False,) * 8
+_NO_ALERT = (False,) * len(SERVOS)
 
 
 def _with_last(order: tuple[int, ...], joint: int) -> tuple[int, ...]:
@@ -309,8 +309,8 @@ class CycleReader:
         self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer], revived: tuple[int, ...]
     ) -> Reading:
         full = kind is not self._cycle
-        registers = {name: [0] * 8 for name in kind.fields.names}
-        status, alert = [Status.TIMEOUT] * 8, [False] * 8
+        registers = {name: [0] * len(SERVOS) for name in kind.fields.names}
+        status, alert = [Status.TIMEOUT] * len(SERVOS), [False] * len(SERVOS)
         for j, answer in answers.items():
             status[j] = answer.status
             if answer.status is not Status.OK:

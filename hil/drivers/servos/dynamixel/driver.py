@@ -305,7 +305,7 @@ class DynamixelServos(Actuators):
         """A full read of all eight, silent ones too; restores what a restart or a watchdog has cost."""
         with self._talking:
             if self._bus is None or not self._identity:
-                nothing = np.full(8, np.nan)
+                nothing = np.full(len(SERVOS), np.nan)
                 return ServoHold(self._clock.now_ns(), nothing, False, dict.fromkeys(SERVOS, "closed"))
             return self._look(self._bus)
 

@@ -14,7 +14,7 @@ import numpy as np
 from hil.config.servo_models.x_series_codes import POSITION
 from hil.config.servos import ServosConfig
 from hil.core.errors import UsageError
-from hil.core.signals import ServoSetpoint
+from hil.core.signals import SERVOS, ServoSetpoint
 from hil.drivers.servos.dynamixel.expected_servos import expected_mode
 from hil.drivers.servos.dynamixel.packets import GoalWrite
 from hil.drivers.servos.dynamixel.register_map import RegisterMap
@@ -60,7 +60,7 @@ class Goals:
         steering = [read(b, "present_position") for b in blocks[4:]]
         self._limits = list(zip(self._low.tolist(), self._high.tolist(), strict=True))
         self._raw = [0, 0, 0, 0, *steering]
-        self.clipped = [0] * 8
+        self.clipped = [0] * len(SERVOS)
 
     def packet(self) -> bytes:
         """The write packet of a control cycle."""

@@ -62,7 +62,7 @@ class RamRecovery:
         self._registers = [drive] * 4 + [steer] * 4
         self.mapped = True
         self.torque = self.released = False
-        self.hardware_error = [0] * 8
+        self.hardware_error = [0] * len(SERVOS)
 
     def prepare(self, blocks: Sequence[bytes]) -> None:
         """Write RAM at open; a robot that is held by torque stays held.

@@ -26,17 +26,17 @@ from hil.drivers.servos.dynamixel.register_map import RegisterMap
 _MARGIN_COUNTS = 512
 _WORD = 1 << 32
 _COASTING_S = 0.1
-_ZERO = (0,) * 8
+_ZERO = (0,) * len(SERVOS)
 
 Counts = np.ndarray
 
-ALL_SERVOS, NO_SERVOS = np.ones(8, dtype=bool), np.zeros(8, dtype=bool)
+ALL_SERVOS, NO_SERVOS = np.ones(len(SERVOS), dtype=bool), np.zeros(len(SERVOS), dtype=bool)
 for _mask in (ALL_SERVOS, NO_SERVOS):
     _mask.setflags(write=False)
 
 
 _LOG = logging.getLogger(__name__)
-_NO_ALERT: tuple[int, ...] = (0,) * 8
+_NO_ALERT: tuple[int, ...] = (0,) * len(SERVOS)
 _floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
 _LOOKS = 4
 """Full reads in the period of a health sample: a watchdog that trips unnoticed stops its wheel, and
@@ -59,10 +59,10 @@ class MultiTurnCounter:
         self.offset: Sequence[int] = _ZERO
         self._last: Sequence[int] = _ZERO
         self._velocity: Sequence[int] = _ZERO
-        self._last_ns = np.zeros(8, dtype=np.int64)
+        self._last_ns = np.zeros(len(SERVOS), dtype=np.int64)
         self._speed_counts = model.rad_s_per_count / model.rad_per_count
-        self._known = np.zeros(8, dtype=bool)
-        self._restarted = np.zeros(8, dtype=bool)
+        self._known = np.zeros(len(SERVOS), dtype=bool)
+        self._restarted = np.zeros(len(SERVOS), dtype=bool)
         self._together_ns: int | None = None
 
     def restarted(self, joint: int) -> None:
@@ -147,10 +147,10 @@ class Samples:
         self._upkeep, self._clock, self._device = upkeep, clock, device
         model, read = registers.model, registers.from_block
         self._scales = np.repeat((model.rad_per_count, model.rad_s_per_count, model.a_per_count), 8)
-        self._zeros = (model.zero_counts,) * 8
+        self._zeros = (model.zero_counts,) * len(SERVOS)
         self.turns, self.doubtful = MultiTurnCounter(model), False
         self._registers: Sequence[int] = [read(b, "present_position") for b in blocks]
-        self._alert = [0] * 8
+        self._alert = [0] * len(SERVOS)
         self._sequence = 0
 
     def registers(self, reading: Reading | None = None) -> np.ndarray:
@@ -280,7 +280,7 @@ class HealthSchedule:
                 tuple(self._clipped),
             ),
         )
-        self._clips, self._clipped[:] = any(self._clipped), [0] * 8
+        self._clips, self._clipped[:] = any(self._clipped), [0] * len(SERVOS)
 
     def take(self) -> tuple[ServoHealth, ...]:
         """The sample that was made since the last call, if any."""

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.core.clock import nanoseconds
+from hil.core.signals import SERVOS
 from hil.fakes.servos.dynamixel.faults import ServoFaults
 from hil.fakes.servos.dynamixel.sensing import GRID_NS, Sensing
 from hil.fakes.servos.dynamixel.servo import Servo
@@ -38,7 +39,7 @@ class LiveRegisters:
         self._stamp = (-1, -1)
         self._holding = False
         self._all: list[list[int]] = []
-        self._duty_stamp, self._duty = (-1, -1.0), [0.0] * 8
+        self._duty_stamp, self._duty = (-1, -1.0), [0.0] * len(SERVOS)
 
     def hold(self) -> None:
         """Measure all servos now; from the first call on, measurements are updated here only."""

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from hil.config.servo_models import ServoModel
+from hil.core.signals import SERVOS
 from hil.fakes.servos.dynamixel.sensing import Sensing
 from hil.fakes.servos.dynamixel.servo import Servo
 from hil.fakes.servos.dynamixel.true_parameters import ServoBusOptions
@@ -31,10 +32,10 @@ class ThermalModel:
     def __init__(self, sensing: Sensing, options: ServoBusOptions, models: tuple[ServoModel, ...]) -> None:
         self._sensing, self._options = sensing, options
         own = [m.motor.overload_a for m in models]
-        self._overload_a = np.array(own if options.overload_a is None else [options.overload_a] * 8)
+        self._overload_a = np.array(own if options.overload_a is None else [options.overload_a] * len(SERVOS))
         self._pack_v = self.volts = options.pack_v()
-        self.celsius = np.full(8, options.ambient_c)
-        self._overloaded_s = np.zeros(8)
+        self.celsius = np.full(len(SERVOS), options.ambient_c)
+        self._overloaded_s = np.zeros(len(SERVOS))
 
     def step(self, servos: Iterable[Servo], dt_s: float) -> None:
         """Advance by `dt_s`, and set hardware errors of servos beyond their limits."""
