@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from hil.cli.options import FILE, JSON, OUT, TOPICS
-from hil.core.errors import EXIT_PASS, EXIT_USAGE, DataError
+from hil.core.errors import EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 
 @click.command()
@@ -41,6 +41,11 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
         from hil.datasets.topic_map import read_topic_map
 
         found = read_mapped(recording, read_topic_map(topics))
+        if found.of_twist:
+            raise UsageError(
+                f"{recording}: --topics names a twist, and the table is of wheels",
+                remedy="write its trajectories with `hil replay --trajectories FOLDER`",
+            )
         if found.later:
             raise DataError(
                 str(recording),

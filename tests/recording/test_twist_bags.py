@@ -233,5 +233,7 @@ def test_joints_and_a_twist_exclude_each_other(tmp_path):
 def test_there_are_no_wheels_to_calibrate(bag, tmp_path, capsys):
     assert main(["calibrate", str(bag), "--topics", str(mapping(tmp_path))]) == 2
     assert "a twist, and no wheels" in capsys.readouterr().err
+    assert main(["export", str(bag), "--topics", str(mapping(tmp_path))]) == 2
+    assert "--trajectories" in capsys.readouterr().err
     assert main(["evaluate", str(bag), "--topics", str(mapping(tmp_path)), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mean"]["rmse_position_m"] < 2e-3
