@@ -16,6 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from PIL import Image  # noqa: E402
+
 from hil.console.json_files import read  # noqa: E402
 from hil.console.stop_server import PAGE  # noqa: E402
 from tests.chromium import Browser  # noqa: E402
@@ -48,6 +50,8 @@ def main():
             browser.until("document.getElementById('now').innerText.includes('HELD')")
             time.sleep(1.0)
             browser.picture(IMAGES / "console_stopped.png")
+            for name in ("console.png", "console_stopped.png"):
+                Image.open(IMAGES / name).quantize(64).save(IMAGES / name, optimize=True)
         finally:
             browser.close()
             console.send_signal(signal.SIGKILL)
