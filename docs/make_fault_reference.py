@@ -148,6 +148,7 @@ LINKS = "\n".join(
             for title, wire in (
                 ("servo bus, BNO055", "bus"),
                 ("other serial lines", "serial"),
+                ("lines of text", "lines"),
                 ("CAN", "can"),
                 ("UDP", "udp"),
                 ("T265", "poses"),

@@ -144,8 +144,8 @@ class DeviceModel:
         probe_writes: bytes that `probe` writes to the port, in words; empty where it only listens.
         usb: (vendor, product) ids of adapters that are this model; no `probe` writes to such adapters.
         wire: connection of the real device, which decides the faults that can be injected in front of it:
-            `serial`, `bus` (a serial line on which the device answers only), `can`, `udp`, `poses` of a
-            library, or empty for another one.
+            `serial`, `lines` (of text), `bus` (a serial line on which the device answers only), `can`,
+            `udp`, `poses` of a library, or empty for another one.
         framing: protocol on a serial wire by its name in `hil.links.framing`; empty where whatever arrives at
             once is one message.
         not_measured: fields of the kind's sample that this model does not measure: NaN with every status.

@@ -15,6 +15,8 @@ from hil.faults.messages import Messages
 from hil.faults.plan import FaultPlan
 
 _LOSING = ("drop", "silent", "intermittent")
+_AGAIN_NS = 250_000
+"""Time by which a message that comes twice comes later the second time: that of a CAN frame."""
 
 
 class LinkFaults:
@@ -86,7 +88,8 @@ class LinkFaults:
         if late is not None:
             late_ns = late.delay_ns()
             self._count(late)
-        for message in arrived:
+        for number, message in enumerate(arrived):
+            late_ns += _AGAIN_NS * (number > 0)
             for pause_ns, piece in self._messages.pieces(message, t_ns):
                 late_ns += pause_ns
                 yield late_ns, piece

@@ -19,14 +19,15 @@ _WHOLE: Supported = {kind: options for kind, options in FRAME_FAULTS.items() if 
 BY_WIRE: Mapping[str, Supported] = {
     "bus": {**STREAM_FAULTS, "unplug": ()},
     "serial": {**STREAM_FAULTS, **_LATE, "unplug": ()},
+    "lines": {**_WHOLE, "pieces": STREAM_FAULTS["pieces"], **_LATE, "unplug": ()},
     "can": {**_WHOLE, **_LATE},
     "udp": {**_WHOLE, **_LATE},
     "poses": ARRIVAL_FAULTS,
 }
 """Faults that can be injected, and their options, by how the device is connected.
 
-`garbage` of a frame or datagram is random content within a valid form, which a link cannot make; `delayed` of
-a bus that is asked are old registers, which a link does not have.
+`garbage` of a frame, a datagram or a line of text is random content within a valid form, which a link cannot
+make; `delayed` of a bus that is asked are old registers, which a link does not have.
 """
 SITUATIONS = ("floor", "tethered", "wall")
 """Where the robot is, from harmless to dangerous."""

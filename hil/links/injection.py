@@ -158,6 +158,7 @@ class FaultyPort:
 
     def _must_be_there(self) -> None:
         if self._faults.gone():
+            self.reset_input_buffer()  # what was sent to an adapter that was away is lost
             raise serial.SerialException(f"the adapter of {self._faults.name} is gone (injected fault)")
 
     def _passes(self) -> bool:

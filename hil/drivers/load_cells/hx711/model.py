@@ -21,7 +21,7 @@ class Hx711Line(SerialModel):
     """Load cells whose counts come as lines of text."""
 
     kind, name, title = "load_cells", "hx711_line", "two load cells on a serial line"
-    config, framing = LineCellsConfig, "line"
+    config, wire, framing = LineCellsConfig, "lines", "line"
     driver, chip = (
         "hil.drivers.load_cells.hx711.line_driver:LineCells",
         "hil.fakes.load_cells.hx711.chip:CellLine",

@@ -22,6 +22,7 @@ from hil.drivers.tracker.mavlink.doctor_check import diagnose
 from hil.drivers.tracker.mavlink.first_contact import await_sender, silent
 from hil.drivers.tracker.mavlink.session import Received, Session
 from hil.drivers.tracker.mavlink.transports import open_link
+from hil.links.injection import FaultyDatagrams, with_faults
 from hil.links.mavlink import messages as odometry_messages
 from hil.links.mavlink.transport_interface import LinkFactory
 from hil.streams.device_clock import DeviceClock
@@ -87,6 +88,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._forget()
         common = odometry_messages.dialect()
         link = self._open_link(self._config, self._clock, self.name)
+        if link.datagrams:
+            link = with_faults(link, FaultyDatagrams)
         self._session = session = Session(link, common, self._config, self._clock)
         try:
             self._identity = await_sender(session, self._config, self._clock, common, self.name)

@@ -11,7 +11,6 @@ from typing import Any
 from hil.config.mavlink import MavlinkTrackerConfig, UdpAddress, udp_address
 from hil.core.clock import Clock
 from hil.core.errors import DeviceError, reason_of
-from hil.links.injection import FaultyDatagrams, with_faults
 from hil.links.mavlink.transport_interface import Address, Arrival, Link
 from hil.links.serial_url import PORT_ERRORS, cannot_open, open_serial
 from hil.links.udp_ports import UdpPort
@@ -44,7 +43,7 @@ class UdpLink(Link):
                 port = UdpPort(clock, None, 0)
             else:
                 port = UdpPort(clock, None, address.port, address.host)
-            self._port: UdpPort = with_faults(port, FaultyDatagrams)
+            self._port = port
         except OSError as error:
             raise DeviceError(
                 device,
