@@ -50,7 +50,9 @@ class SessionFolder:
 
     def begin(self, bench: Bench) -> None:
         """Write what is known as the session begins; a session that is killed is listed by this."""
-        self._reported |= {"bench": bench.config.name, "emulated": list(bench.config.emulated())}
+        emulated = bench.config.emulated()
+        real = [name for name in bench.config.devices() if name not in emulated]
+        self._reported |= {"bench": bench.config.name, "emulated": list(emulated), "real": real}
         self._write()
 
     def end(self, summary: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord
 
 TITLE = "How the sensors fit the estimate"
-HEAD = ("sensor", "mean NIS", "expected", "measured noise, compared with the assumed")
+HEAD = ("sensor", "mean NIS", "expected", "its noise is")
 BAND = (0.5, 2.0)
 """Range of the mean NIS per row in which a sensor is as noisy as the filter assumes; 1 is ideal."""
 _SENSORS: Mapping[str, str] = {
@@ -27,8 +27,8 @@ def verdict(nis: float) -> str:
     """Return how a sensor's noise compares with the noise that the estimator assumes, from its mean NIS."""
     low, high = BAND
     if nis > high:
-        return f"larger, about {nis**0.5:.1f} times"
-    return f"smaller, about 1/{nis**-0.5:.1f}" if nis < low else "alike"
+        return f"about {nis**0.5:.1f} times the assumed"
+    return f"about 1/{nis**-0.5:.1f} of the assumed" if nis < low else "as assumed"
 
 
 class FitHistory(Sink):

@@ -45,7 +45,7 @@ def watched(begin=0, end=600, **nis):
 
 def test_each_sensor_is_named_by_how_far_it_is_off():
     said = {row[0]: row[3] for row in watched(wheels=0.9, gyro=0.04, tracker=9.0).rows()}
-    assert "alike" in said["wheels"]
+    assert "as assumed" in said["wheels"]
     assert "1/5.0" in said["gyro"]
     assert "3.0 times" in said["camera"]
 

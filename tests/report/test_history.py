@@ -322,6 +322,7 @@ def test_names_from_elsewhere_are_only_text_on_the_page(tmp_path):
 
 
 SESSION = {"command": "live", "began": "2026-03-01T10:00:00+00:00", "bench": "lab", "emulated": ["imu"]}
+SESSION["real"] = ["servos"]
 
 
 @pytest.mark.parametrize(
@@ -329,6 +330,7 @@ SESSION = {"command": "live", "began": "2026-03-01T10:00:00+00:00", "bench": "la
     [
         ({"ended": "key x", "held": {"state": "HELD"}}, "live", "ended by: key x; HELD"),
         ({}, "live", "it still runs, or was killed"),
+        ({"ended": "SIGINT", "held": {"state": "HELD"}}, "live", "ended by: Ctrl-C or STOP; HELD"),
         ({"began": 3}, "foreign", "session.json is of no live session"),
     ],
 )

@@ -37,6 +37,7 @@ RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "
 FAULTS, LIVE, UNFINISHED, FOREIGN = "faults", "live", "unfinished", "foreign"
 OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, FAULTS, LIVE, UNFINISHED)
 """Kinds that `hil` writes, and may delete."""
+_SIGNALS = {"SIGINT": "Ctrl-C or STOP", "SIGTERM": "STOP or another program", "SIGHUP": "closed terminal"}
 _DEEPEST = 8
 _MOST_LINE_BYTES = 4 << 20
 _PAGE_BYTES = 1 << 16
@@ -257,9 +258,11 @@ def _session(folder: Path, name: str) -> Kept:
         return _foreign(folder, name, SESSION, problem or f"{SESSION} is of no live session")
     emulated, held = tree.get("emulated"), tree.get("held")
     devices = ", ".join(map(str, emulated)) if isinstance(emulated, list) else ""
+    where = f"real time, emulated: {devices}" if tree.get("real") else "real time, emulated"
     why = "it still runs, or was killed"
     if isinstance(held, dict):
-        why = f"ended by: {tree.get('ended')}; {held.get('state')}"
+        ended = str(tree.get("ended"))
+        why = f"ended by: {_SIGNALS.get(ended, ended)}; {held.get('state')}"
     return Kept(
         folder,
         name,
@@ -267,7 +270,7 @@ def _session(folder: Path, name: str) -> Kept:
         command,
         when,
         bench=str(tree.get("bench", "")),
-        where=f"real time, emulated: {devices}" if devices else "hardware",
+        where=where if devices else "hardware",
         why=why,
     )
 
