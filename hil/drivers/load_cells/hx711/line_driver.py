@@ -1,11 +1,10 @@
-"""Drivers of the cells that measure with which force the fan presses the robot on its surface."""
+"""Driver of two load cells behind a serial line."""
 
 import re
 from collections.abc import Mapping
 
 from hil.config.load_cells import LineCellsConfig
 from hil.core.signals import LoadCellSample, Stamp
-from hil.drivers.load_cells.hx711.can_driver import CanCells
 from hil.drivers.load_cells.hx711.counts_to_force import Judge
 from hil.links.packets import LineParser
 from hil.links.serial_port import SerialPort
@@ -60,6 +59,3 @@ class LineCells(SerialSensor[LineCellsConfig, LoadCellSample]):
     def silence_details(self) -> str:
         """Lines that are no conversion, if any."""
         return f", {self.malformed} lines that are none" * bool(self.malformed)
-
-
-__all__ = ["CanCells", "LineCells"]
