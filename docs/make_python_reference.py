@@ -64,7 +64,7 @@ SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
             "hil.recording.runs.RecordedRun",
             "hil.recording.runs.read_runs",
             "hil.replay.estimator_comparison.compare",
-            "hil.replay.estimator_comparison.errors",
+            "hil.replay.truth_errors.errors",
             "hil.replay.estimator_comparison.consistency",
         ),
     ),
