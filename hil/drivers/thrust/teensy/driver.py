@@ -2,7 +2,8 @@
 
 Opening the port changes nothing. Once a throttle was commanded it is repeated, so that a lost line, the
 firmware's ramp down after a damaged line, and a restart do not last. `read` repeats it; without reads, after
-a stop or between motions, a timer of the driver does.
+a stop or between motions, a timer of the driver does. Each write carries the line several times: the rest of
+one that was cut spoils the first copy only, and what counts once the bench is silent is the last whole line.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from hil.streams.silence_limit import used_while_closed
 _LOG = logging.getLogger(__name__)
 
 _SLACK_NS = 1_000_000
+_COPIES = 8
+"""Number of lines in a write, which fits into a USB packet of 64 bytes."""
 _ALONE = 1.2
 """Multiple of the period after which a throttle is sent again without reads."""
 
@@ -143,7 +146,7 @@ class TeensyThrust(Holding[ThrustSample]):
             with self._talking:
                 if self._port is None:
                     return False
-                self._port.write(b"THR%d\n" % step)
+                self._port.write(b"THR%d\n" % step * _COPIES)
         except PORT_ERRORS as error:
             self._failing_ns = self._failing_ns or now_ns
             if now_ns - self._failing_ns > nanoseconds(0.5):
