@@ -54,6 +54,19 @@ def test_on_a_tether_no_sensor_has_to_see_a_slide_and_the_word_says_so():
     assert said not in bench.held.why
 
 
+@pytest.mark.parametrize(
+    ("more", "without", "state"),
+    [((), (), "HELD"), ((), ("mocap",), "NOT HELD"), (("mocap:stuck@1.5",), (), "NOT HELD")],
+)
+def test_a_camera_that_drifts_at_rest_is_outvoted_by_motion_capture_that_lives(more, without, state):
+    drift = "tracker:wrong@1.0,drift_y_m_s=-0.005"
+    held, _, moved_m, speed_m_s = left(drift, *more, without=without, way=HOP)
+    assert moved_m < 1e-3
+    assert speed_m_s < 1e-4
+    assert held.state == state
+    assert state == "NOT HELD" or held.moved_m < 1e-3
+
+
 @pytest.mark.parametrize(("still", "moved_m"), [(0.001, 0.007), (0.008, None)])
 def test_a_way_within_the_noise_of_a_coarse_sensor_is_none(still, moved_m):
     class Coarse(DeviceKind):

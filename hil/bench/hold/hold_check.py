@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch
+from hil.bench.hold.camera_vote import CAMERA, CameraVote
 from hil.bench.hold.frame_jumps import FrameJumps
 from hil.bench.hold.motion_since_stop import FEWEST_FOR_NOISE, JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.slide_watch import SlideWatch
@@ -157,6 +158,7 @@ class HoldMonitor(Sink):
         self._pressed_ns: int | None = None
         self._moving = self._seen_moving = False
         self._jumps, self._slides = FrameJumps(), SlideWatch(model, self._seeing)
+        self._vote = CameraVote()
         self._let_go = False
         self.last_state: RobotState | None = None
 
@@ -202,6 +204,7 @@ class HoldMonitor(Sink):
         """
         for name in agreed:
             self._doubted.pop(name, None)
+            self._vote.decided &= name != CAMERA
         for name, sure in (doubted or {}).items():
             self._doubted[name] = sure or self._doubted.get(name, False)
         self._travel.stopped(self._clock.now_ns())
@@ -246,6 +249,7 @@ class HoldMonitor(Sink):
         }
         self._press.begin(for_good=for_good)
         self._slides.begin()
+        self._vote.begin()
         self._pressed_ns = None
         self._felt_m_s2.clear()
         self._reads, self._unread = 0, Counter()
@@ -311,7 +315,7 @@ class HoldMonitor(Sink):
         rests = ", ".join(kinds()[name].noun for name in seen if name in by)
         tether = self._on_wall and not (self._can_fall or places or self._press.feels(t_ns))
         by_tether = "; on its tether, so no sensor has to see whether it slides" if tether else ""
-        return f"torque on, at rest by {rests}{self._press.in_words(t_ns)}{by_tether}{self._missed()}"
+        return f"torque on, at rest by {rests}{self._press.in_words(t_ns)}{by_tether}{self._vote.in_words()}{self._missed()}"
 
     def _missed(self) -> str:
         """Text with the servos that missed many reads of this check; empty for none."""
@@ -433,10 +437,13 @@ class HoldMonitor(Sink):
             some = len(self._unread) < len(SERVOS) and ", ".join(sorted(self._unread))
             who = f"{some} did not answer each time, so that they" if some else "the servos"
             return f"torque is on, but {who} have not been seen at rest for long enough"
-        for name in seen:
-            if not self._doubted.get(name) and trails[name].moves():
-                self._moving, self._seen_moving = True, name in places
-                return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
+        moving = [name for name in seen if not self._doubted.get(name) and trails[name].moves()]
+        confirmed = self._press.basis(self._clock.now_ns())[1]
+        if self._vote.follow(hold.t_ns, moving, places, confirmed=confirmed):
+            self._doubted[CAMERA] = True
+        if moving:
+            self._moving, self._seen_moving = True, moving[0] in places
+            return f"torque is on, but the robot still moves by its {kinds()[moving[0]].noun}"
         if len(self._seeing) > 1 and not any(n != JOINTS and not self._doubted.get(n) for n in seen):
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
         if not self._can_fall or places or self._press.feels(hold.t_ns):
