@@ -8,15 +8,15 @@ from hil.core.clock import nanoseconds
 
 CAMERA, CAPTURE = "tracker", "mocap"
 _CONTRADICTS_NS = nanoseconds(2.0)
-"""Duration of the contradiction: the slowest motion that a camera sees is 10 mm for motion capture by then."""
+"""Duration of the contradiction: the slowest motion that a camera sees is 10 mm by then."""
 
 
 class CameraVote:
     """Weighs a camera that moves against all other sensors at rest.
 
-    A camera's position is the sum of small motions, which drifts; motion capture measures from outside. So the
-    camera is outvoted by motion capture, wheels, IMU and a confirmed force together. Motion capture that moves
-    is never outvoted: a camera may show a slow slide as rest.
+    A camera's position is the sum of small motions, which drifts; motion capture measures from outside. So
+    the camera is outvoted by motion capture, wheels, IMU and a confirmed force together. Motion capture that
+    moves is never outvoted: a camera may show a slow slide as rest.
 
     Attributes:
         decided: True once the camera was outvoted.

@@ -315,7 +315,8 @@ class HoldMonitor(Sink):
         rests = ", ".join(kinds()[name].noun for name in seen if name in by)
         tether = self._on_wall and not (self._can_fall or places or self._press.feels(t_ns))
         by_tether = "; on its tether, so no sensor has to see whether it slides" if tether else ""
-        return f"torque on, at rest by {rests}{self._press.in_words(t_ns)}{by_tether}{self._vote.in_words()}{self._missed()}"
+        pressed, outvoted = self._press.in_words(t_ns), self._vote.in_words()
+        return f"torque on, at rest by {rests}{pressed}{by_tether}{outvoted}{self._missed()}"
 
     def _missed(self) -> str:
         """Text with the servos that missed many reads of this check; empty for none."""
