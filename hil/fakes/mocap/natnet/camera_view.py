@@ -14,6 +14,7 @@ import numpy as np
 from hil.core.geometry import Array, Four, Three
 from hil.fakes.body_interface import BodyMotion
 from hil.fakes.mocap.natnet.true_parameters import MocapTruthOptions
+from hil.fakes.smooth_noise import SmoothNoise
 from hil.support.numba_jit import compile_for, inner, kernel, plain
 
 DRAWS = 7
@@ -25,6 +26,7 @@ MARKERS = ((0.10, 0.08, 0.02), (-0.12, 0.09, 0.02), (-0.10, -0.09, 0.03), (0.13,
 Markers = tuple[Three, Three, Three, Three]
 _BLOCK = 512
 _RARE_GAP = 0.02
+_MOVES_M_S, _MOVES_RAD_S = 0.002, 0.01
 _DISTRACTOR = (1.2, -0.7, 0.4)
 
 
@@ -101,7 +103,8 @@ class CaptureVolume:
     Args:
         options: true imperfections.
         rng: random stream of the device.
-        body, body_id: name and streaming id of the robot's body.
+        own: random stream of the errors under way and of late stamps.
+        body: name and streaming id of the robot's body.
         up_axis: streaming setting.
     """
 
@@ -109,13 +112,15 @@ class CaptureVolume:
         self,
         options: MocapTruthOptions,
         rng: np.random.Generator,
-        *,
-        body: str,
-        body_id: int,
+        own: np.random.Generator,
+        body: tuple[str, int],
         up_axis: Literal["y", "z"],
     ) -> None:
-        self._options, self._rng = options, rng
-        self._body, self._body_id = body, body_id
+        self._options, self._rng, self._own = options, rng, own
+        self._body, self._body_id = body
+        self._under_way: SmoothNoise | None = None
+        if options.exposure_jitter_s or options.moving_angle_noise_rad:
+            self._under_way = SmoothNoise(own, 2, options.moving_noise_s, 1.0 / options.rate_hz)
         self._by = Capture(
             options.height_m,
             options.position_noise_m,
@@ -125,8 +130,8 @@ class CaptureVolume:
         )
         self._draws, self._row = np.zeros((1, DRAWS)), 0
         compile_for(seen_at, (0.0, 0.0, 0.0), plain(Capture()), self._draws, 0)
-        name = "distractor" + "2" * (body == "distractor")
-        self._other = self._body_at(name, body_id + 1, _DISTRACTOR, self._draws, 0)
+        name = "distractor" + "2" * (self._body == "distractor")
+        self._other = self._body_at(name, self._body_id + 1, _DISTRACTOR, self._draws, 0)
         self._last: SeenBody | None = None
         self._hidden_until_ns = self._gap_until_ns = 0
 
@@ -145,8 +150,25 @@ class CaptureVolume:
             self._hidden_until_ns = t_ns + round(1e9 * self._options.occlusion_s)
         if (hidden or t_ns < self._hidden_until_ns) and self._last is not None:
             return self._other, self._last._replace(tracked=False)
-        self._last = self._body_at(self._body, self._body_id, motion[:3], self._draws, self._row)
+        place = motion[:3] if self._under_way is None else self._place(motion, self._under_way)
+        self._last = self._body_at(self._body, self._body_id, place, self._draws, self._row)
         return self._other, self._last
+
+    def _place(self, motion: BodyMotion, noise: SmoothNoise) -> Three:
+        """Pose at the true time of the exposure, with the noise of a body under way."""
+        options = self._options
+        early, turned = noise.step().tolist()
+        late_s, v, w = options.exposure_jitter_s * early, motion.v_x_m_s, motion.v_y_m_s
+        moves = math.hypot(v, w) > _MOVES_M_S or abs(motion.omega_rad_s) > _MOVES_RAD_S
+        theta = motion.theta_rad + late_s * motion.omega_rad_s
+        c, s = math.cos(motion.theta_rad), math.sin(motion.theta_rad)
+        x, y = motion.x_m + late_s * (c * v - s * w), motion.y_m + late_s * (s * v + c * w)
+        return x, y, theta + options.moving_angle_noise_rad * turned * moves
+
+    def stamp_late_s(self) -> float:
+        """Draw the time by which a frame is stamped and sent later than it was exposed, s."""
+        mean_s = self._options.stamp_late_s
+        return mean_s * float(self._own.standard_exponential()) if mean_s else 0.0
 
     def in_gap(self, t_ns: int) -> bool:
         """Return whether this frame is lost before it is sent."""

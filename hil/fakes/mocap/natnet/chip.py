@@ -117,7 +117,8 @@ class NatNetServer(Scheduled):
         self._options = options if options is not None else MocapTruthOptions()
         self._rng = world.rng(name)
         self._faults = MocapFaults(world.faults, name, self._rng)
-        self._volume = CaptureVolume(self._options, self._rng, body=body, body_id=body_id, up_axis=up_axis)
+        own = world.rng(f"{name} under way")
+        self._volume = CaptureVolume(self._options, self._rng, own, (body, body_id), up_axis)
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
         self._latency_ticks = round(self._options.latency_s * CLOCK_HZ)
         self._receive_ticks = round(_RECEIVED_SHARE * self._latency_ticks)
@@ -168,12 +169,13 @@ class NatNetServer(Scheduled):
         hidden = faults is not None and faults.hidden(t_ns)
         seen = self._volume.see(self._world.plant.body(), t_ns, hidden)
         bodies = seen if faults is None else faults.distort(seen, t_ns)
-        self._last = (self._number, bodies, self._times(t_ns))
+        stamp_late_s = self._volume.stamp_late_s()
+        self._last = (self._number, bodies, self._times(t_ns + nanoseconds(stamp_late_s)))
         jitter = self._rng.standard_exponential()
         if self._volume.in_gap(t_ns) or (faults is not None and faults.silent(t_ns)):
             return
         late_s = options.latency_s + options.transit_s + options.jitter_s * jitter
-        ready_ns = t_ns + nanoseconds(late_s + self._stall_s())
+        ready_ns = t_ns + nanoseconds(late_s + self._stall_s() + stamp_late_s)
         self._stream(ready_ns if ready_ns > self._arrived_ns else self._arrived_ns, t_ns)
 
     def receive(self, data: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from hil.config.field_types import Within
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,13 @@ class MocapTruthOptions:
         jitter_s: mean of the exponential jitter beside it.
         stalls_per_s, longest_stall_s: arrivals that are held up, with all behind them.
         clock_ppm: error of the server's clock, standard deviation over servers.
+        stamp_late_s: mean of an exponential lateness: frames are sent and stamped later than they were
+            exposed, each by another time, as where a program stamps them on arrival. The recordings of 64
+            frames per second are late by 0 to 60 ms; frame numbers give their times.
+        exposure_jitter_s: deviation of the exposure from the regular time of its number, one sigma.
+        moving_angle_noise_rad: further noise of the heading while the body moves, one sigma; 0.5 mrad in the
+            recordings.
+        moving_noise_s: time constant of both; 0 for values that do not depend on those before.
         natnet: version that the server speaks unless a client asks for an earlier one.
     """
 
@@ -44,6 +53,10 @@ class MocapTruthOptions:
     stalls_per_s: float = 0.05
     longest_stall_s: float = 0.2
     clock_ppm: float = 14.0
+    stamp_late_s: Annotated[float, Within(0.0, 1.0, "later than any usable frame")] = 0.0
+    exposure_jitter_s: Annotated[float, Within(0.0, 0.1, "more than several periods")] = 0.0
+    moving_angle_noise_rad: Annotated[float, Within(0.0, 0.1, "6 degrees")] = 0.0
+    moving_noise_s: Annotated[float, Within(0.0, 10.0, "a time constant")] = 0.01
     natnet: Literal["3.1", "4.0", "4.1"] = "4.1"
 
 

@@ -13,6 +13,7 @@ from hil.core.clock import nanoseconds
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.servos.dynamixel import protocol
+from hil.fakes.servos.dynamixel.angle_errors import AngleErrors
 from hil.fakes.servos.dynamixel.faults import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.dynamixel.group_instructions import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.dynamixel.protocol import Instruction, InstructionParser
@@ -60,7 +61,11 @@ class ServoBus(SerialChip, Scheduled):
         rng = world.rng(name)
         models = options.models()
         self._faults = ServoFaults(world.faults, name, options.ids, rng, models)
-        self._sensing = Sensing(world.plant, rng, models, options.dither_counts)
+        errors = None
+        if AngleErrors.given(options):
+            errors = AngleErrors(options, models, world.rng(f"{name} angles"), GRID_NS * 1e-9)
+        of_angle = options.velocity_from == "angle"
+        self._sensing = Sensing(world.plant, rng, models, options.dither_counts, errors, of_angle=of_angle)
         self._thermal = ThermalModel(self._sensing, options, models)
         self._live = LiveRegisters(self._sensing, self._thermal, self._faults)
         self._single = SingleInstructions(self._live)

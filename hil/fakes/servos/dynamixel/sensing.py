@@ -13,6 +13,7 @@ from hil.config.servo_models import ServoModel
 from hil.core.geometry import Array
 from hil.core.named_records import Ints
 from hil.fakes.body_interface import Plant
+from hil.fakes.servos.dynamixel.angle_errors import AngleErrors
 from hil.support.numba_jit import compile_for, inner, kernel
 
 # Rows of the scales (3, 8): counts per rad, velocity counts per count of a span, counts per A.
@@ -47,12 +48,15 @@ def count(history: Array, dither: Array, scales: Array, first: int, last: int) -
 
 
 @kernel
-def show(now: Array, history: Array, dither: Array, scales: Array, first: int, row: int, shown: Ints) -> None:
+def show(
+    now: Array, history: Array, fine: Array, dither: Array, scales: Array, first: int, row: int, shown: Ints
+) -> None:
     """Convert to encoder, velocity and current counts of the servos; the last two truncate towards zero.
 
     Args:
         now: (2, 8) present angles and currents.
         history: history (n, 8); updated.
+        fine: history (n, 8) of which the velocity is computed, counts: `history`, or its angles not rounded.
         dither: (n, 8) counts.
         scales: scales (3, 8) with the rows `PER_RAD`, `PER_SPAN`, `PER_A`.
         first: first row of the history that holds angles.
@@ -61,7 +65,7 @@ def show(now: Array, history: Array, dither: Array, scales: Array, first: int, r
     """
     count(history, dither, scales, first, row)
     angles, amps, added = now[ANGLES], now[CURRENTS], dither[row]
-    newer, older = history[row - OLD], history[row - OLD - SPAN]
+    newer, older = fine[row - OLD], fine[row - OLD - SPAN]
     counts, velocities, currents = shown[SHOWN_COUNTS], shown[SHOWN_VELOCITIES], shown[SHOWN_CURRENTS]
     per_rad, per_span, per_a = scales[PER_RAD], scales[PER_SPAN], scales[PER_A]
     for j in range(8):
@@ -84,6 +88,8 @@ class Sensing:
         rng: random numbers of the dither.
         models: models of the eight servos, with their units and motors.
         dither_counts: noise of the encoders before rounding, one sigma.
+        errors: errors of the angles; None without.
+        of_angle: True if the velocity is computed of the angles before noise and rounding.
 
     Attributes:
         resistance_ohm: resistances (8,) of the motors.
@@ -96,8 +102,12 @@ class Sensing:
         rng: np.random.Generator,
         models: tuple[ServoModel, ...],
         dither_counts: float = 0.25,
+        errors: AngleErrors | None = None,
+        *,
+        of_angle: bool = False,
     ) -> None:
         self._plant, self._rng, self._dither_counts = plant, rng, dither_counts
+        self._errors = errors
         span_s = SPAN * _GRID_S
         self.resistance_ohm: Array = np.array([m.motor.resistance_ohm for m in models])
         self._back_emf_v_s_rad: Array = np.array([m.motor.back_emf_v_s_rad for m in models])
@@ -107,12 +117,20 @@ class Sensing:
         ]
         self._scales = np.array(scales).T.copy()
         self._draw()
-        at_rest = [float(round(a * s[PER_RAD])) for a, s in zip(plant.joints()[0], scales, strict=True)]
+        at_rest = [float(round(a * s[PER_RAD])) for a, s in zip(self._angles(), scales, strict=True)]
         self._history = np.tile(at_rest, (_ROWS, 1))
+        self._fine = self._history
+        if of_angle:
+            self._fine = np.tile(self._angles() * self._scales[PER_RAD], (_ROWS, 1))
         self._row = self.ticks = 0
         self._raw_from = 1
         self._now, self._shown = np.zeros((2, 8)), np.zeros((3, 8), dtype=np.int64)
-        compile_for(show, self._now, self._history, self._dither, self._scales, 0, 0, self._shown)
+        compile_for(show, self._now, self._history, self._fine, self._dither, self._scales, 0, 0, self._shown)
+
+    def _angles(self) -> Array:
+        """Present angles (8,) as the encoders see them, rad."""
+        angles = self._plant.joints()[0]
+        return angles if self._errors is None else self._errors.seen(angles)
 
     def _draw(self) -> None:
         """Draw the dither of the next grid samples, counts."""
@@ -127,13 +145,18 @@ class Sensing:
             self._draw()
             row = self._raw_from = 0
         self._row = row
-        self._history[row] = self._plant.joints()[0]
+        if self._errors is not None:
+            self._errors.step(self._plant.joints()[1])
+        self._history[row] = angles = self._angles()
+        if self._fine is not self._history:
+            self._fine[row] = angles * self._scales[PER_RAD]
 
     def _count(self) -> None:
         """Convert the angles in the history from `_raw_from` on, and the present ones, to counts."""
-        row, (angles, _, amps) = self._row, self._plant.joints()
-        self._now[ANGLES], self._now[CURRENTS] = angles, amps
-        show(self._now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
+        row, amps = self._row, self._plant.joints()[2]
+        self._now[ANGLES], self._now[CURRENTS] = self._angles(), amps
+        first, fine = self._raw_from, self._fine
+        show(self._now, self._history, fine, self._dither, self._scales, first, row, self._shown)
         self._raw_from = row + 1
 
     def measure(self) -> Ints:
@@ -158,7 +181,7 @@ class Sensing:
         """Return Present Velocity in its counts, truncated towards zero."""
         self._count()
         row = self._row - OLD - min(age_ns, HISTORY_NS) // GRID_NS
-        newer, older = self._history[row % _ROWS], self._history[(row - SPAN) % _ROWS]
+        newer, older = self._fine[row % _ROWS], self._fine[(row - SPAN) % _ROWS]
         gains = self._scales[PER_SPAN]
         return [int((a - b) * gain) for a, b, gain in zip(newer, older, gains, strict=True)]
 

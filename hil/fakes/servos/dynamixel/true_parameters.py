@@ -64,6 +64,10 @@ def _as_number(key: object) -> object:
 
 Joint = Annotated[int, Within(0, 7, "eight servos"), BeforeValidator(_as_number)]
 Counts = Annotated[int, Within(-(1 << 31), (1 << 31) - 1, "a register of four bytes")]
+Ripple = tuple[Annotated[float, Within(0.0, 100.0, "counts of 4096 a turn")], ...]
+Phase = tuple[Annotated[float, Within(-6.3, 6.3, "a turn either way")], ...]
+ByDrive = tuple[Ripple, Ripple, Ripple, Ripple]
+Phases = tuple[Phase, Phase, Phase, Phase]
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,16 @@ class ServoBusOptions:
         drive_start_counts: encoder counts of the drives at joint angle 0.
         horn_rad: servo angle of the steering servos at which their horns point straight on, wheel order.
         dither_counts: noise of the encoders before rounding, counts, one sigma.
+        ripple_counts: error of the drives' angles that repeats with every turn, counts: by drive, amplitudes
+            of one, two, ... periods a turn; none by default. The first was 1 to 6 in the recordings.
+        ripple_phase_rad: phases of the same; 0 where a value is left out. At joint angle a the k-th of the
+            errors is its amplitude times sin(k a + phase).
+        wander_counts: smooth random error of the drives' angles, which changes while they turn, one sigma.
+        steer_dither_counts: the same of the steering angles, which changes while the module's wheel turns.
+        wander_s, steer_dither_s: time constants of both; 0 for values that do not depend on those before.
+        velocity_from: angle of which the firmware computes the velocity: the `counts` that it shows, or its
+            `angle` before noise and rounding. Of the latter neighbouring values are alike: in the recordings,
+            every 16 ms, correlated by 0.89.
         overload_a: current that counts as overload; by default that of the model.
         overload_s: time at that current until the overload error.
     """
@@ -126,6 +140,13 @@ class ServoBusOptions:
     drive_start_counts: tuple[Counts, Counts, Counts, Counts] = (317, 1204, 2911, 3870)
     horn_rad: tuple[SteeringZero, SteeringZero, SteeringZero, SteeringZero] = (0.0, 0.0, 0.0, 0.0)
     dither_counts: Annotated[float, Within(0.0, 100.0, "counts of 4096 a turn")] = 0.25
+    ripple_counts: ByDrive = ((), (), (), ())
+    ripple_phase_rad: Phases = ((), (), (), ())
+    wander_counts: Annotated[float, Within(0.0, 100.0, "counts of 4096 a turn")] = 0.0
+    wander_s: Annotated[float, Within(0.0, 100.0, "a time constant")] = 0.2
+    steer_dither_counts: Annotated[float, Within(0.0, 100.0, "counts of 4096 a turn")] = 0.0
+    steer_dither_s: Annotated[float, Within(0.0, 100.0, "a time constant")] = 0.5
+    velocity_from: Literal["counts", "angle"] = "counts"
     overload_a: float | None = None
     overload_s: float = 2.0
 
