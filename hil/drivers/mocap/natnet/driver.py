@@ -17,19 +17,14 @@ from hil.drivers.mocap.natnet.handshake import Handshake
 from hil.drivers.mocap.natnet.messages import BodyPose, Frame
 from hil.drivers.mocap.natnet.session import Session
 from hil.links.udp_ports import DatagramFactory, udp_ports
-from hil.streams.device_clock import DeviceClock
-from hil.streams.pose_jumps import JumpTest
+from hil.streams.pose_stream import USABLE_CONFIDENCE, WITHOUT_POSE, PoseStream
 from hil.streams.silence_limit import USELESS, SilenceTimer, nothing_usable, used_while_closed
-from hil.streams.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 
-_NORM_LOW, _NORM_HIGH = 0.98, 1.02
-_FARTHEST_M = 1000.0
 _LONGEST_UP_S, _LONGEST_LATENCY_S = 5_000_000_000, 10
 _array = np.array  # a name of this module: looking it up in numpy takes longer
 _NAN7 = (math.nan,) * 7
-_OK, _WITHOUT_POSE = Status.OK, (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED)
 _REMEDY = (
     "check that Motive streams (rigid bodies on, the right interface, unicast or multicast as configured) "
     "and that no firewall closes UDP 1510 and 1511"
@@ -52,13 +47,10 @@ class NatNetMocap(Sensor[MocapSample]):
         self._datagrams = datagrams
         self._session: Session | None = None
         self._identity: dict[str, str] = {}
-        self._clock_map = DeviceClock(nanoseconds(config.transit_s))
-        self._jumps = JumpTest.of(config)
+        self._poses = PoseStream(config, config.transit_s)
         self._y_up = config.up_axis == "y"
         self._reconnect_ns = nanoseconds(config.reconnect_after_s)
         self._silence_timer = SilenceTimer(config.fail_after_s)
-        self._stale_ns = nanoseconds(config.stale_after_s)
-        self._stuck = StuckTest(config.stuck_after_s)
         self._seq_base, self._number, self._resumed_at = 0, -1, 0
 
     @property
@@ -76,12 +68,10 @@ class NatNetMocap(Sensor[MocapSample]):
             DeviceError: the ports cannot be used, the version is unknown, or the body does not exist.
         """
         self.close()
-        self._clock_map.reset()
-        self._jumps.reset()
         self._seq_base = 0
         self._number = -1
         now_ns = self._clock.now_ns()
-        self._stuck.reset(now_ns)
+        self._poses.begin(now_ns)
         deadline_ns = now_ns + nanoseconds(self._config.open_timeout_s)
         try:
             self._session = session = self._open_session()
@@ -188,18 +178,16 @@ class NatNetMocap(Sensor[MocapSample]):
         if restarted:
             _LOG.warning("%s has started again", self.name)
             self._seq_base += self._number + 1 - frame.number
-            self._clock_map.reset()
-            self._jumps.distrust()
+            self._poses.clock_map.reset()
+            self._poses.begin_again()
         self._number = frame.number
         stamp, credible, latency_s = self._stamp(frame, arrived_ns)
         body = frame.body
         pose = _NAN7 if body is None else self._z_up(body)
-        status = self._status(body, pose, stamp)
-        if status is _OK and (not credible or arrived_ns - stamp.t_ns > self._stale_ns):
-            status = Status.STALE
-        elif restarted and status is Status.JUMP:
-            status = Status.RESET
-        if status in _WITHOUT_POSE:
+        status = Status.NOT_TRACKED
+        if body is not None and body.tracked:
+            status = self._poses.status(pose, (), USABLE_CONFIDENCE, stamp.t_ns, arrived_ns, credible)
+        if status in WITHOUT_POSE:
             pose = _NAN7
         values = _array(pose)
         tracked, error_m = (False, math.nan) if body is None else (body.tracked, body.marker_error_m)
@@ -219,7 +207,7 @@ class NatNetMocap(Sensor[MocapSample]):
             credible_s = frame.timestamp_s if abs(frame.timestamp_s) < _LONGEST_UP_S else 0.0
             sent_ns = exposed_ns = round(credible_s * NS_PER_S)
             latency_s = math.nan
-        t_ns, credible = self._clock_map.map(sent_ns, arrived_ns)
+        t_ns, credible = self._poses.clock_map.map(sent_ns, arrived_ns)
         t_ns -= sent_ns - exposed_ns
         return Stamp(t_ns, arrived_ns, seq, exposed_ns), credible, latency_s
 
@@ -230,16 +218,3 @@ class NatNetMocap(Sensor[MocapSample]):
         if self._y_up:
             return x, -z, y, qw, qx, -qz, qy
         return x, y, z, qw, qx, qy, qz
-
-    def _status(self, body: BodyPose | None, pose: tuple[float, ...], stamp: Stamp) -> Status:
-        if body is None or not body.tracked:
-            return Status.NOT_TRACKED
-        position_m, quaternion_wxyz = pose[:3], pose[3:]
-        norm = math.hypot(*quaternion_wxyz)
-        if not (_NORM_LOW < norm < _NORM_HIGH and math.hypot(*position_m) < _FARTHEST_M):
-            return Status.IMPLAUSIBLE if all(map(math.isfinite, pose)) else Status.NOT_FINITE
-        if self._stuck.stuck(pose, stamp.host_ns):
-            return Status.FROZEN
-        if self._jumps.jumped(stamp.t_ns / NS_PER_S, position_m, quaternion_wxyz):
-            return Status.JUMP
-        return _OK

@@ -25,10 +25,8 @@ from hil.drivers.tracker.mavlink.transports import open_link
 from hil.links.injection import FaultyDatagrams, with_faults
 from hil.links.mavlink import messages as odometry_messages
 from hil.links.mavlink.transport_interface import LinkFactory
-from hil.streams.device_clock import DeviceClock
-from hil.streams.pose_jumps import JumpTest
+from hil.streams.pose_stream import USABLE_CONFIDENCE, WITHOUT_POSE, PoseStream
 from hil.streams.silence_limit import USELESS, SilenceTimer, nothing_usable, used_while_closed
-from hil.streams.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 
@@ -36,12 +34,9 @@ _NS_PER_US = 1000
 _LATEST_US = 1 << 62
 _RESTART_NS = NS_PER_S
 _EARLY_NS, _LATE_NS = nanoseconds(0.005), nanoseconds(5.0)
-_FARTHEST_M, _FASTEST = 1000.0, 100.0
-_NORM_LOW, _NORM_HIGH = 0.98, 1.02
-_USABLE_CONFIDENCE = 2
 _NAN7, _NAN6 = (math.nan,) * 7, (math.nan,) * 6
 _USELESS = (*USELESS, Status.PROTOCOL)
-_NO_POSE = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED, Status.PROTOCOL)
+_NO_POSE = (*WITHOUT_POSE, Status.PROTOCOL)
 
 
 class MavlinkTracker(Sensor[TrackerSample]):
@@ -59,10 +54,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._config, self._clock, self._open_link = config, clock, link
         self._session: Session | None = None
         self._identity: dict[str, str] = {}
-        self._clock_map = DeviceClock(nanoseconds(config.latency_s))
-        self._jumps = JumpTest.of(config)
-        self._stuck = StuckTest(config.stuck_after_s)
-        self._stale_ns = nanoseconds(config.stale_after_s)
+        self._poses = PoseStream(config, config.latency_s)
         self._silence_timer = SilenceTimer(config.fail_after_s)
         self._seq, self._last_t_ns = 0, -(1 << 62)
         self._forget()
@@ -98,13 +90,12 @@ class MavlinkTracker(Sensor[TrackerSample]):
             raise
         now_ns = self._clock.now_ns()
         self._silence_timer.begin(now_ns)
-        self._stuck.reset(now_ns)
+        self._poses.wait(now_ns)
 
     def reopen(self) -> None:
         """Open again after an outage: sample numbers go on, perhaps in another frame."""
         self.open()
-        self._jumps.distrust()
-        self._reset = True
+        self._poses.begin_again()
 
     @property
     def port_gone(self) -> bool:
@@ -154,13 +145,10 @@ class MavlinkTracker(Sensor[TrackerSample]):
         return tuple(diagnose(self._session, self._config, self.name, samples, watched_s))
 
     def _forget(self) -> None:
-        self._clock_map.reset()
-        self._jumps.reset()
-        self._stuck.reset(self._clock.now_ns())
+        self._poses.begin(self._clock.now_ns())
         self._repeated = 0
         self._last_device_ns: int | None = None
         self._resets: int | None = None
-        self._reset = False
 
     def _sample(self, session: Session, received: Received) -> TrackerSample | None:
         """The sample of one message; None when its pose is no newer than the last one."""
@@ -174,11 +162,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
                 return None
             t_ns, credible = self._bench_time(session, device_ns, host_ns)
         self._note_reset(message, device_ns if credible else None)
-        pose, twist, status = self._judge(message, t_ns, host_ns)
-        if status is Status.OK and (not credible or host_ns - t_ns > self._stale_ns):
-            status = Status.STALE
-        elif self._reset and status is Status.JUMP:
-            status, self._reset = Status.RESET, False
+        pose, twist, status = self._judge(message, t_ns, host_ns, credible)
         if status in _NO_POSE:
             pose, twist = _NAN7, _NAN6
         self._seq += 1
@@ -198,7 +182,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         The offset comes from TIMESYNC round trips; where the sender answers none, or stamps its poses by
         another clock, from the quickest arrivals.
         """
-        t_ns, credible = self._clock_map.map(device_ns, host_ns)
+        t_ns, credible = self._poses.clock_map.map(device_ns, host_ns)
         trip = session.trip()
         if trip is not None:
             if -_EARLY_NS < host_ns - device_ns - trip.offset_ns < _LATE_NS:
@@ -224,13 +208,12 @@ class MavlinkTracker(Sensor[TrackerSample]):
                 _LOG.warning("%s has started again", self.name)
             reset = reset or restarted
         if reset:
-            self._jumps.distrust()
-            self._reset = True
+            self._poses.begin_again()
 
     def _judge(
-        self, message: Any, t_ns: int, host_ns: int
+        self, message: Any, t_ns: int, host_ns: int, credible: bool
     ) -> tuple[tuple[float, ...], tuple[float, ...], Status]:
-        """Pose, twist and status of a message; its age is not considered."""
+        """Pose, twist and status of a message."""
         config = self._config
         axes = odometry_messages.axes_of(message.frame_id, message.child_frame_id, config.body_axes)
         if axes is None or config.frame not in (None, odometry_messages.frame_name(message.frame_id)):
@@ -238,29 +221,15 @@ class MavlinkTracker(Sensor[TrackerSample]):
         pose = odometry_messages.pose_of(message, axes)
         if not all(map(math.isfinite, pose)):
             return pose, _NAN6, Status.NOT_FINITE
-        norm = math.hypot(*pose[3:])
         twist = odometry_messages.twist_of(message, axes, pose[3:])
-        near = math.hypot(*pose[:3]) < _FARTHEST_M and not max(map(abs, twist)) > _FASTEST
-        if not (_NORM_LOW < norm < _NORM_HIGH and near):
-            return pose, twist, Status.IMPLAUSIBLE
-        return pose, twist, self._status(message, pose, t_ns, host_ns)
-
-    def _status(self, message: Any, pose: tuple[float, ...], t_ns: int, host_ns: int) -> Status:
+        known = tuple(value for value in twist if not math.isnan(value))
         confidence = self._confidence(message.quality)
-        if self._stuck.stuck(pose, host_ns):
-            return Status.FROZEN
-        if confidence == 0:
-            return Status.NOT_TRACKED
-        if confidence < _USABLE_CONFIDENCE:
-            return Status.LOW_CONFIDENCE
-        if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):
-            return Status.JUMP
-        return Status.OK
+        return pose, twist, self._poses.status(pose, known, confidence, t_ns, host_ns, credible)
 
     def _confidence(self, quality: int) -> int:
         """The sender's percentage as 0 (failed) to 3 (high); an unknown quality counts as usable (2)."""
         if quality <= odometry_messages.FAILED:
             return 0
         if quality == odometry_messages.UNKNOWN_QUALITY:
-            return _USABLE_CONFIDENCE
+            return USABLE_CONFIDENCE
         return 1 + (quality >= self._config.least_quality) + (quality >= self._config.good_quality)

@@ -13,16 +13,15 @@ import math
 import struct
 from collections import deque
 from collections.abc import Mapping
-from math import hypot
 from typing import Any
 
 import numpy as np
 
 from hil.config.tracker import T265Config
-from hil.core.clock import NS_PER_S, Clock, nanoseconds
+from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.interfaces import Sensor
-from hil.core.signals import Stamp, Status, TrackerSample
+from hil.core.signals import Stamp, TrackerSample
 from hil.drivers.tracker.t265.librealsense_interface import (
     VENDOR_ERRORS,
     Frame,
@@ -35,23 +34,16 @@ from hil.drivers.tracker.t265.librealsense_interface import (
 from hil.drivers.tracker.t265.served_poses import FeedPipeline
 from hil.drivers.tracker.t265.settings import WheelVelocities, apply_settings
 from hil.links.injection import faulty_callback, with_faults
-from hil.streams.device_clock import DeviceClock
-from hil.streams.pose_jumps import JumpTest
+from hil.streams.pose_stream import WITHOUT_POSE, PoseStream
 from hil.streams.silence_limit import USELESS, SilenceTimer, nothing_usable, used_while_closed
-from hil.streams.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 
 _WAIT_NS = 5_000_000
 _NS_PER_MS = 1e6
 _LATEST_MS = 5e12
-_USABLE_CONFIDENCE = 2
-_FARTHEST_M = 1000.0
-_FASTEST = 100.0
-_NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _RESTART_FRAMES = 200
 _floats, _DOUBLES = np.frombuffer, struct.Struct("13d").pack
-_OK, _WITHOUT_VALUES = Status.OK, (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED)
 
 _Raw = tuple[Any, ...]
 """Arrival in ns, number, milliseconds on the device's axis, confidence; position, attitude, velocity and rate
@@ -85,11 +77,8 @@ class T265Tracker(Sensor[TrackerSample]):
         self._wheels: WheelVelocities | None = None
         self._identity: dict[str, str] = {}
         self._queue: deque[_Raw] = deque(maxlen=config.queue_length)
-        self._clock_map = DeviceClock(nanoseconds(config.latency_s))
-        self._jumps = JumpTest.of(config)
+        self._poses = PoseStream(config, config.latency_s)
         self._silence_timer = SilenceTimer(config.fail_after_s)
-        self._stale_ns = nanoseconds(config.stale_after_s)
-        self._stuck = StuckTest(config.stuck_after_s)
         self.overflowed = self.repeated = self.malformed = 0
         self._number, self._seq_base, self._resumed_at = -1, 0, 0
 
@@ -117,8 +106,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._resumed_at = max(self._resumed_at, self._seq_base + self._number + 1)
         self.open()
         self._seq_base = self._resumed_at - int(self._queue[0][1])
-        self._jumps.distrust()
-        self._restarted = True
+        self._poses.begin_again()
 
     port_gone = False  # USB reports it to the library, which does not pass it on
 
@@ -173,14 +161,11 @@ class T265Tracker(Sensor[TrackerSample]):
 
     def _forget(self) -> None:
         self._queue.clear()
-        self._clock_map.reset()
-        self._jumps.reset()
         self.overflowed = self.repeated = self.malformed = 0
         self._number = -1
         self._seq_base = 0
-        self._restarted = False
         self._timestamp_ms = -math.inf
-        self._stuck.reset(self._clock.now_ns())
+        self._poses.begin(self._clock.now_ns())
 
     def _choose(self) -> tuple[Pipeline, Any]:
         """The pipeline to run and the library module that belongs to it."""
@@ -283,14 +268,10 @@ class T265Tracker(Sensor[TrackerSample]):
         device_ns, t_ns, credible = None, host_ns, abs(timestamp_ms) < _LATEST_MS
         if credible:
             device_ns = round(timestamp_ms * _NS_PER_MS)
-            t_ns, credible = self._clock_map.map(device_ns, host_ns)
-        status = self._status(raw, confidence, t_ns)
-        if status is _OK and (not credible or host_ns - t_ns > self._stale_ns):
-            status = Status.STALE
-        elif self._restarted and status is Status.JUMP:
-            status, self._restarted = Status.RESET, False
+            t_ns, credible = self._poses.clock_map.map(device_ns, host_ns)
+        status = self._poses.status(raw[4:11], raw[11:], confidence, t_ns, host_ns, credible)
         values = _floats(bytearray(_DOUBLES(*raw[4:])))
-        if status in _WITHOUT_VALUES:
+        if status in WITHOUT_POSE:
             values[:] = np.nan
         stamp = Stamp(t_ns, host_ns, self._seq_base + number, device_ns)
         return TrackerSample(stamp, values[0:3], values[3:7], values[7:10], values[10:13], confidence, status)
@@ -299,25 +280,4 @@ class T265Tracker(Sensor[TrackerSample]):
         """Handle a restart: numbers and pose frame begin anew, and the next usable pose has status RESET."""
         _LOG.warning("%s has started again", self.name)
         self._seq_base += self._number + 1 - number
-        self._jumps.distrust()
-        self._restarted = True
-
-    def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
-        _, _, _, _, x, y, z, qw, qx, qy, qz, vx, vy, vz, wx, wy, wz = raw
-        norm, distance_m = hypot(qw, qx, qy, qz), hypot(x, y, z)
-        fastest = hypot(vx, vy, vz, wx, wy, wz)
-        if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
-            if not all(map(math.isfinite, raw[4:])):
-                return Status.NOT_FINITE
-            fastest = max(map(abs, raw[11:]))
-            if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
-                return Status.IMPLAUSIBLE
-        if self._stuck.stuck(raw[4:11], raw[0]):
-            return Status.FROZEN
-        if confidence <= 0:
-            return Status.NOT_TRACKED
-        if confidence < _USABLE_CONFIDENCE:
-            return Status.LOW_CONFIDENCE
-        if self._jumps.jumped(t_ns / NS_PER_S, (x, y, z), (qw, qx, qy, qz)):
-            return Status.JUMP
-        return _OK
+        self._poses.begin_again()
