@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
-from hil.cli.live import drive, must_be_held, open_recorder, real_time_source
+from hil.cli.live import drive, must_be_held, open_aloud, open_recorder, real_time_source
 from hil.cli.options import JSON, FiniteRange
 from hil.cli.session_folder import SessionFolder, out_option
 from hil.core.errors import EXIT_PASS, Aborted, UsageError
@@ -84,8 +84,7 @@ def command(
     terminal = sys.stdin.fileno()
     source = real_time_source(request)
     stop, folder = StopRequest(), SessionFolder(out, "jog")
-    with stop.noted(), closing(source.open()) as opened:
-        opened.warns_not_held = False
+    with stop.noted(), closing(open_aloud(source)) as opened:
         keys = HeldKeys(terminal, opened.clock.now_ns)
         if body:
             lines = BodyKeys(keys, speed_m_s, turn_rad_s)

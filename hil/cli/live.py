@@ -22,6 +22,7 @@ from hil.cli.options import (
     rerun_option,
     say_rerun_files,
 )
+from hil.cli.question_answers import watching
 from hil.cli.ros2_options import published
 from hil.cli.session_folder import SessionFolder, out_option
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
@@ -146,8 +147,7 @@ def command(
     stop = StopRequest()
     with stop.noted():
         with published(request, bench.config, patient=True) as publisher, _commands(commands) as lines:
-            opened = replace(bench, publish=None if publisher is None else publisher.sink).open()
-            opened.warns_not_held = False
+            opened = open_aloud(replace(bench, publish=None if publisher is None else publisher.sink))
             with closing(opened):
                 plan = LivePlan(
                     None if reference is None else _announced(reference, duration_s),
@@ -257,7 +257,19 @@ def real_time_source(request: BenchRequest, repeated: Path | None = None) -> Ben
     overrides = {} if repeated is None else {"emulation.replay": str(repeated.resolve())}
     source = replace(request, realtime=True).source(overrides)
     must_have_a_device(source.config, request.bench, "there is nothing to watch or to move")
+    source = replace(source, watch=watching(table=True))
     return source.changed(overrides=start_question.asked_start(source.config))
+
+
+def open_aloud(source: BenchSource) -> Bench:
+    """The bench, with its emulated devices started; says first what the start waits for."""
+    emulated = ", ".join(source.config.emulated())
+    served = f"; emulated, by a process of their own: {emulated}" if emulated else ""
+    click.echo(f"loading bench {source.config.name}{served}", err=True)
+    bench = source.open()
+    bench.warns_not_held = False
+    click.echo("loading the loop's machine code; it is compiled at the first use", err=True)
+    return bench
 
 
 def drive(session: LiveSession, folder: SessionFolder | None, view: str | None, *, as_json: bool) -> None:
@@ -276,6 +288,7 @@ def drive(session: LiveSession, folder: SessionFolder | None, view: str | None, 
         folder.begin(bench)
     try:
         session.end_if_asked()
+        click.echo(f"opening {', '.join(bench.config.devices())}", err=True)
         with bench:
             click.echo(f"at the start {seen_in_words(bench.look())}", err=True)
             try:

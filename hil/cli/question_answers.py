@@ -83,12 +83,20 @@ def asked_to_end() -> Interrupts:
     return Interrupts(tell, None if progress.for_a_program() else PATIENCE_S)
 
 
-def watching() -> tuple[Callable[[BenchConfig], Sink], ...]:
-    """Makers of the sinks that report a running bench to a program that reads the progress; else none."""
-    if not progress.for_a_program():
+def watching(*, table: bool = False) -> tuple[Callable[[BenchConfig], Sink], ...]:
+    """Makers of the sinks that report a running bench to a program that reads the progress; else none.
+
+    Args:
+        table: True to show the same figures to a person, where standard error is a terminal.
+    """
+    table = table and sys.stderr.isatty()
+    if not (table or progress.for_a_program()):
         return ()
     from hil.bench.third_party.call_timeout import with_time_limit
+    from hil.cli.live_table import LiveTable
     from hil.core.clock import MonotonicClock
     from hil.monitor.status_lines import StatusStream
 
-    return (partial(StatusStream, progress.tell, MonotonicClock(), limited=with_time_limit),)
+    if progress.for_a_program():
+        return (partial(StatusStream, progress.tell, MonotonicClock(), limited=with_time_limit),)
+    return (partial(LiveTable, sys.stderr, MonotonicClock(), limited=with_time_limit),)
