@@ -17,7 +17,8 @@ from typing import Any, TextIO
 
 from hil.config.bench import BenchConfig
 from hil.core.clock import Clock
-from hil.monitor.status_lines import Limited, StatusStream, unlimited
+from hil.core.kind_figures import Limited, unlimited
+from hil.monitor.status_lines import StatusStream
 
 _CLEAR = "\x1b[J"
 _LONGEST_WAIT_S = 1.0
