@@ -32,6 +32,7 @@ from hil.loop.checks.adhesion_limits import AdhesionLimits
 from hil.loop.checks.mocap_agreement import MocapTolerances
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.checks.out_of_plane import CameraOutOfPlane
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
 from hil.loop.checks.weight import Lifted, WeightCheck
@@ -104,11 +105,15 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
     servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
     ids, steer_ids = ((), ()) if servos is None else (servos.ids, servos.steer_ids)
     motion = None if servos is None else motion_check(config, geometry)
+    aligned = alignment_parameters(config)
     independent = (
         config.of(MocapConfig) is not None and not config.estimator.mocap.use and feedback != "odometry"
     )
     return Checks(
         motion=motion,
+        camera=CameraOutOfPlane(aligned.tracker, aligned.tracker_scale)
+        if motion and config.of(TrackerConfig)
+        else None,
         estimate=MocapEstimate(motion.capture, follows=follows) if motion and independent else None,
         wheels=WheelSlipCheck(geometry, ids) if motion and follows else None,
         estimated=frozenset(
@@ -130,6 +135,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
         weight=weight_check(config, geometry) if motion and follows else None,
+        rests_on=hold_keys(config),
         added=added_checks(config),
         emulated=frozenset(config.emulated()),
     )
@@ -199,6 +205,13 @@ def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:
     """The check of the adhesion force; None for a bench without fan and load cells."""
     limits = adhesion_limits(config)
     return None if limits is None else AdhesionWatch(limits, can_fall=can_fall(config))
+
+
+def hold_keys(config: BenchConfig) -> tuple[str, ...]:
+    """Keys that scale what holds the robot on its wall, and that no second sensor confirms."""
+    fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
+    force = fan.ratings().keys if fan is not None and cells is None else ()
+    return (*force, *(push.push_keys if push is not None else ()), "robot.mass_kg")
 
 
 def can_fall(config: BenchConfig) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from hil.loop.checks.adhesion import AdhesionWatch
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.checks.out_of_plane import CameraOutOfPlane
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
 from hil.loop.checks.weight import WeightCheck
@@ -45,6 +46,7 @@ class Checks:
 
     Attributes:
         motion: camera against wheels and gyro; None without this check.
+        camera: the camera's motion out of the plane; None without a camera.
         estimate: the estimate against motion capture; None without motion capture or another independent
             sensor.
         wheels: check of each wheel against the other three; None where they are not commanded by one motion.
@@ -61,11 +63,13 @@ class Checks:
         lost_after_s: time without any sample, by sensor, after which a robot that follows a pose stops;
             reconnecting a sensor may take longer.
         weight: work of the drives against the weight; None off a wall.
+        rests_on: keys of the bench file that scale what holds the robot, and that nothing confirms.
         added: checks of the device kinds, by kind.
         emulated: emulated devices; in real time the process that serves them may be late itself.
     """
 
     motion: MotionCheck | None = None
+    camera: CameraOutOfPlane | None = None
     estimate: MocapEstimate | None = None
     wheels: WheelSlipCheck | None = None
     needs_camera: bool = False
@@ -79,5 +83,6 @@ class Checks:
     brought: Mapping[str, Collection[str]] = field(default_factory=dict)
     lost_after_s: Mapping[str, float] = field(default_factory=dict)
     weight: WeightCheck | None = None
+    rests_on: tuple[str, ...] = ()
     added: Mapping[str, Sequence[Check]] = field(default_factory=dict)
     emulated: frozenset[str] = frozenset()

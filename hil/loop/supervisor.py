@@ -81,7 +81,9 @@ class Supervisor:
         if own.estimate is not None:
             own.estimate.excluded, own.estimate.holders = self.left_out, tuple(self._holders)
             own.estimate.advice = look_at(self._holders, "if it slides, look")
-        self.fall = FallCheck(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders)
+        self.fall = FallCheck(
+            limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders, own.rests_on
+        )
         found: list[Check | None] = [
             self.fall,
             own.hold,
@@ -98,6 +100,7 @@ class Supervisor:
             self.slide,
             FrameMove(self.left_out),
             OutOfPlane(),
+            own.camera,
             DamagedReports(),
             UsableCheck(),
             FilterFit(),

@@ -30,6 +30,7 @@ from hil.procedure.needed_devices import Device, only
 from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import inertial, integrated, poses
 from hil.procedure.tracking_errors import enable_hold
+from hil.procedures.bring_up.body_sensor import wrong_place, wrong_turns
 from hil.procedures.bring_up.jogs import (
     DriveJogs,
     SteerJogs,
@@ -272,8 +273,13 @@ def run(ctx: Context) -> None:
                 "mocap.up_axis, at the plane, and at the axes of mocap.body. No direction was judged."
             )
             return
+        if turned := wrong_turns(p.body, straight, across):
+            ctx.note(f"{turned} No direction was judged.")
+            return
         _measure_drives(ctx, straight, across, steer)
     if not ctx.passing():
+        if moved := wrong_place(p.body, straight, across):
+            ctx.note(moved)
         ctx.note("The body was not moved: first correct everything that failed above.")
         return
     with ctx.step("body", timeout_s=120.0):

@@ -17,7 +17,7 @@ from hil.config.bench import BenchConfig
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS, Status
 from hil.loop.driven_motion import Motion
-from hil.procedure.sample_arrays import Series, encoders, poses, wheels
+from hil.procedure.sample_arrays import Series, encoders, inertial, integrated, poses, wheels
 from hil.procedure.scripted_joints import Stretch, play
 
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
@@ -38,6 +38,8 @@ class DriveJogs:
         expected, found: (4, 3) body displacement per wheel as unit vectors; the turn is scaled by the
             wheels' distance from the centre.
         moved_m: (4,) length of the displacement: half of out minus back.
+        moved: (4, 3) displacement in body axes, m, m, rad.
+        felt_rad: (4,) turn by the gyro; NaN without one.
         out_of_plane: True if motion capture saw the body move more out of its plane than in it.
     """
 
@@ -45,6 +47,8 @@ class DriveJogs:
     expected: Array
     found: Array
     moved_m: Array
+    moved: Array
+    felt_rad: Array
     out_of_plane: bool = False
 
     def agreement(self) -> Array:
@@ -126,7 +130,25 @@ def jog_drives(bench: Bench, source: str, steering_rad: float, rate_rad_s: float
     c, s = math.cos(heading), math.sin(heading)
     moved = moved @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     found = moved / np.maximum(size, 1e-9)[:, None]
-    return DriveJogs(steering_rad, expected, found, size, source == "mocap" and leaves_plane(motion))
+    return DriveJogs(
+        steering_rad,
+        expected,
+        found,
+        size,
+        moved / [1.0, 1.0, reach],
+        _felt(bench, motion, marks),
+        source == "mocap" and leaves_plane(motion),
+    )
+
+
+def _felt(bench: Bench, motion: Motion, marks: list[float]) -> Array:
+    """Return the (4,) turn by the gyro: half of out minus back, each from mark to mark."""
+    if not bench.has("imu"):
+        return np.full(4, np.nan)
+    data = inertial(motion)
+    turned = np.interp(marks, data.t_s, integrated(data.t_s, data[0]))
+    steps = np.diff(turned)
+    return np.asarray(0.5 * (steps[0::2] - steps[1::2]), dtype=np.float64)
 
 
 def leaves_plane(motion: Motion) -> bool:

@@ -116,6 +116,27 @@ def test_the_other_up_axis_shows_across_and_in_turns(end):
     assert "mocap.up_axis" in bench.seen.contradicting
 
 
+@pytest.mark.parametrize("end", [(0.0, 0.06, 0.0), (0.0, 0.0, 0.12)])
+@pytest.mark.parametrize("by_deg", [0.0, 90.0])
+def test_a_camera_turned_about_the_vertical_shows_across_and_in_turns(end, by_deg):
+    """Its gravity is right: only motion shows it."""
+    key = "tracker.mount_rotation_wxyz"
+    with opened(wrong(key, turned("x", by_deg)(ONE), ONE)) as bench:
+        start = bench.settle()
+        bench.drive(line(start, start + np.array(end)), feedback="odometry", hold_s=0.1)
+    assert (key in bench.seen.contradicting) == bool(by_deg)
+
+
+@pytest.mark.parametrize(
+    ("key", "said", "true"), [("adhesion.rated_force_n", 22.5, 45.0), ("thrust.full_rpm", 18000.0, 9000.0)]
+)
+def test_what_nothing_measures_is_named_where_it_lets_the_robot_go(key, said, true):
+    vesc = {"thrust.model": "vesc"} if key.startswith("thrust") else {}
+    bench = opened({**wrong(key, said, true), **vesc, "load_cells": None})
+    with pytest.raises(SafetyStop, match=key.replace(".", r"\.")), bench:
+        bench.drive(UP)
+
+
 @pytest.mark.parametrize(
     ("source", "ratio", "turns", "key"),
     [

@@ -159,7 +159,10 @@ def jogs(angle_rad, order, signs=(1, 1, 1, 1)):
     expected = expected_push(config, angle_rad, reach_m)
     noise = np.random.default_rng(3).normal(scale=0.05, size=(4, 3))
     found = (expected * np.array(signs)[:, None])[list(order)] + noise
-    return DriveJogs(angle_rad, expected, found / np.linalg.norm(found, axis=1)[:, None], np.ones(4))
+    found /= np.linalg.norm(found, axis=1)[:, None]
+    return DriveJogs(
+        angle_rad, expected, found, np.ones(4), found / [1.0, 1.0, reach_m], found[:, 2] / reach_m
+    )
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 1), (1, 3)])

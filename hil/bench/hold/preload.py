@@ -7,7 +7,7 @@ from typing import Any
 
 from hil.bench.hold.adhesion_force import MEASURES, MeasuredForces, in_words
 from hil.bench.hold.force_schedule import LARGEST_STEP_DOWN_N
-from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, hold_keys, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.can_motor import DaemonMotorConfig
@@ -173,7 +173,8 @@ class Preload:
         raise SafetyStop(
             "adhesion",
             f"the robot is not pressed on the wall: {text}; {limit_n:.1f} N are the least on this surface. "
-            "Nothing has moved; look at fan, battery, seal and load cells (`hil doctor`)",
+            "Nothing has moved; look at fan, battery, seal and load cells (`hil doctor`), and at what scales "
+            f"these figures: {', '.join(hold_keys(self._config))}",
         )
 
     def _enough(self, limit_n: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from hil.core.interfaces import ReportStop
 from hil.core.signals import Inputs, Status
@@ -27,13 +27,19 @@ class FallCheck(Check):
         lightest_m_s2: specific force below which the robot is falling.
         fastest_m_s: largest plausible speed by the camera.
         holders: devices that keep the robot on its surface: noun by kind.
+        rests_on: keys of the bench file that scale what holds the robot, and that nothing confirms.
     """
 
     def __init__(
-        self, lightest_m_s2: float, fastest_m_s: float, holders: Mapping[str, str] | None = None
+        self,
+        lightest_m_s2: float,
+        fastest_m_s: float,
+        holders: Mapping[str, str] | None = None,
+        rests_on: Sequence[str] = (),
     ) -> None:
         self._lightest_m_s2, self._fastest_m_s = lightest_m_s2, fastest_m_s
         self._holders = holders or {}
+        self._rests_on = tuple(rests_on)
         self.reset()
 
     def reset(self) -> None:
@@ -50,7 +56,10 @@ class FallCheck(Check):
 
         def stop(reason: str, message: str) -> None:
             suspects = (*self._holders, _SEEN_BY[reason])
-            cycle.stop(reason, message + look_at(self._holders, "look"), suspects)
+            look = look_at(self._holders, "look")
+            if look and self._rests_on:
+                look += f", and if they run as they should, at {', '.join(self._rests_on)}"
+            cycle.stop(reason, message + look, suspects)
 
         self.judge(cycle.inputs, stop)
 

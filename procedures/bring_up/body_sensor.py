@@ -1,0 +1,71 @@
+"""Checks the sensor that shows how the body moves by jogs of single wheels: its turns, and its place.
+
+A camera that is turned about the vertical shows the right gravity. It shows no turn, or the opposite one, and
+all that is measured by it would be blamed on drives and steering. The gyro shows the same turns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.geometry import Array
+from hil.loop.checks.wrong_parameter import explained_by_lever
+from hil.procedures.bring_up.jogs import DriveJogs
+
+_KEYS = {"tracker": "tracker.mount_rotation_wxyz", "mocap": "mocap.body"}
+_CALLED = {"tracker": "the camera", "mocap": "motion capture"}
+_SAME = (0.6, 1.6)
+"""Turn of good sensors over that of the gyro, in turns of milliradians."""
+_TURNS_RAD = 0.001
+_LEVER_M = 0.05
+"""Difference of a place on the body from which jogs show it: slipping wheels alone give 0.035 m."""
+
+
+def wrong_turns(source: str, straight: DriveJogs, across: DriveJogs) -> str:
+    """Return why the turns by a sensor of the body cannot be right, with keys; empty if they may be.
+
+    Gyro, sensor and wheels each show the turns. Of these the one that two others contradict is wrong.
+
+    Args:
+        source: the sensor, `mocap` or `tracker`.
+        straight: jogs with the wheels along the body.
+        across: jogs with the wheels across it.
+    """
+    seen = np.concatenate([straight.moved[:, 2], across.moved[:, 2]])
+    felt = np.concatenate([straight.felt_rad, across.felt_rad])
+    if not np.isfinite(felt).all() or max(_size(seen), _size(felt)) < _TURNS_RAD:
+        return ""
+    if _SAME[0] * _size(felt) ** 2 < seen @ felt < _SAME[1] * _size(felt) ** 2:
+        return ""
+    pushed = straight.expected[:, 2]
+    wheels = {name: float(turn[:4] @ pushed) for name, turn in ((source, seen), ("imu", felt))}
+    wrong = min(wheels, key=lambda name: wheels[name])
+    if wrong == "imu":  # judged by the turn of the body
+        return ""
+    share = seen @ felt / _size(felt) ** 2
+    return (
+        f"{_CALLED[source]} sees {share:.2f} of the turns that the gyro sees, and the wheels agree with the "
+        f"gyro: look at {_KEYS[source]}, which turns its axes."
+    )
+
+
+def wrong_place(source: str, straight: DriveJogs, across: DriveJogs) -> str:
+    """Return how far the place of a sensor on the body seems to be off, with its key; empty for not.
+
+    A wheel pushes the body along its own heading; what a turn adds beside that is the sensor's place.
+    """
+    turns = straight.moved[:, 2], across.moved[:, 2]
+    forwards_m = -float(straight.moved[:, 1] @ turns[0]) / max(_size(turns[0]) ** 2, 1e-12)
+    left_m = float(across.moved[:, 0] @ turns[1]) / max(_size(turns[1]) ** 2, 1e-12)
+    off_m = float(np.hypot(forwards_m, left_m))
+    found = explained_by_lever(source, off_m) if off_m > _LEVER_M else None
+    if found is None:
+        return ""
+    return (
+        f"{_CALLED[source]} sees turns move the body {1e3 * forwards_m:+.0f} mm forwards and "
+        f"{1e3 * left_m:+.0f} mm to the left of its centre: look at {found.key}, {found.text}, first."
+    )
+
+
+def _size(values: Array) -> float:
+    return float(np.linalg.norm(values))
