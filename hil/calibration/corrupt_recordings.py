@@ -3,7 +3,8 @@
 Each recording is first checked by itself: jumps of the ground truth, wheels that do not move as those of one
 body, wrong signs. Then it is compared with the others by the residual of a robust fit. An effect
 that at least half of the recordings show belongs to the robot, its bench file or the order of columns; no
-recording is left out for it. Only a jump of the ground truth is corrupt however many recordings have one.
+recording is left out for it. Only a jump of the ground truth, or one that was computed from the wheels, is
+corrupt however many recordings have one.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from hil.core.geometry import Array, Bools
 from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.odd_wheels import odd_wheels
+from hil.datasets.truth_of_wheels import of_wheels
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import (
     NO_MOTION,
@@ -49,6 +51,7 @@ def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]
         nominal: nominal robot.
     """
     found: Reasons = {k: one.contradictions[0] for k, one in enumerate(recordings) if one.contradictions}
+    found |= {k: why for k, one in enumerate(recordings) if k not in found and (why := of_wheels(one))}
     for look in (_at_rest, _wrong_signs, _apart, _misfits):
         left = [k for k in range(len(recordings)) if k not in found]
         reported = look([recordings[k] for k in left], nominal) if left else {}

@@ -19,12 +19,12 @@ import numpy as np
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.recording_names import MOTIONS as MOTIONS
 from hil.datasets.wheel_log import Recording, build_recording
 from hil.robot.contact_laws import creep_motion, least_dissipation
 from hil.robot.kinematics import WheelGeometry, inverse, projection, wheel_vectors
 from hil.robot.odometry import integrate
 
-MOTIONS = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
 OTHER_MOTIONS = ("diagonal", "arc", "curl", "scan")
 
 _STEP_S = 0.008

@@ -13,10 +13,12 @@ from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
 from hil.datasets.fit_blocks import Blocks
 from hil.datasets.nominal_robot import lever_m
+from hil.datasets.recording_names import MOTIONS
 from hil.datasets.sampling import LONGEST_GAP_S
 from hil.datasets.start_pose import start_of
 from hil.datasets.truth_correction import notes_of
-from hil.datasets.wheel_log import Recording
+from hil.datasets.truth_of_wheels import of_wheels
+from hil.datasets.wheel_log import Recording, classify
 from hil.datasets.wrong_signs import CHECK_COLUMNS, contradictions
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
@@ -115,7 +117,25 @@ def motions_apart(found: Fit) -> list[str]:
 def warnings_of(recordings: Sequence[Recording]) -> list[str]:
     """Warnings of the recordings themselves: damage, repairs, a start in motion, corrections."""
     lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
+    lines += [f"{r.name}: {why}" for r in recordings if (why := of_wheels(r))] + misnamed(recordings)
     return [*lines, *unused_in(recordings), *_taken_out(recordings), *notes_of(recordings)]
+
+
+def misnamed(recordings: Sequence[Recording]) -> list[str]:
+    """One line for recordings whose path is another of the six motions than their name says; else none."""
+    found = []
+    for one in recordings:
+        path = (
+            classify(one.wheel_angle_rad, one.truth_pose, one.nominal.radius_m) if one.has_truth else "other"
+        )
+        if one.motion in MOTIONS and path in MOTIONS and path != one.motion and not one.contradictions:
+            found.append(f"{one.name} is a {path} by its path")
+    if not found:
+        return []
+    return [
+        f"names and paths differ: {', '.join(found)}; tables by motion, and folds that leave a motion out, "
+        "go by the names: rename the files"
+    ]
 
 
 def unused_in(recordings: Sequence[Recording]) -> list[str]:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from hil.datasets.wheel_log import Recording
 
+MOTIONS = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
+"""The paper's six motions."""
 _REPETITION = re.compile(r"_[0-9]+$")
 
 
