@@ -16,6 +16,7 @@ from hil.bench.device_set_from_config import model_of
 from hil.config.loading import load_bench
 from hil.core.device import Connection
 from hil.core.registry import kinds
+from hil.faults.permission import situation
 
 END_S = 20.0
 
@@ -52,7 +53,7 @@ def served_as_real(
                 }
                 tree[name]["backend"] = "real"
             del tree["emulation"]
-            where = "floor" if not config.environment.on_wall else "tethered"
+            where = situation(on_wall=config.environment.on_wall, tethered=config.safety.tethered)
             tree["faults"] = {"real": where, "devices": list(faulty or names)}
             path = folder / "served.toml"
             path.write_text(tomli_w.dumps(tree))

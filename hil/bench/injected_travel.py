@@ -52,7 +52,8 @@ class TravelBound(Sink):
         over: function that returns True once all faults have ended.
 
     Attributes:
-        began_at: (2,) estimated place in the wall frame at the first cycle, m; None before.
+        began_at: (2,) estimated place in the wall frame when the wheels were first to turn, m; None before.
+            At rest nothing may have told the estimator where the robot stands.
     """
 
     def __init__(self, config: BenchConfig, struck: Callable[[str], bool], over: Callable[[], bool]) -> None:
@@ -67,7 +68,8 @@ class TravelBound(Sink):
     def write(self, record: CycleRecord) -> None:
         """Follow the places that trusted sensors measure."""
         estimated = record.state.pose_body_in_wall[:2]
-        if self.began_at is None and np.isfinite(estimated).all():
+        moves = np.any(record.setpoint.wheel_rate_rad_s)
+        if self.began_at is None and moves and np.isfinite(estimated).all():
             self.began_at = estimated.copy()
         trusted = [kind for kind in self._kinds if not self._struck(kind.name)]
         for kind in trusted:

@@ -26,11 +26,13 @@ from hil.recording.runs import RunStart
 from hil.robot.trajectories import line
 
 
-def bench_with(*specs: str, profile: str = "emulated") -> Bench:
+def bench_with(
+    *specs: str, profile: str = "emulated", stands: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Bench:
     """A bench in virtual time whose emulated devices have faults at their links, as real ones do."""
     faults = tuple(map(parse_fault, specs))
     model = make_bench_model(profile)
-    world = build_world(model.config, seed=2)
+    world = build_world(load_bench(profile, overrides={"environment.start_pose": list(stands)}), seed=2)
     connected = connect_in_process(model.config, world)
     clock = VirtualClock(world)
     injection = Injection(model.config, clock, faults)
@@ -104,6 +106,14 @@ def test_with_faults_a_robot_on_a_wall_is_not_led_far():
         bench.check(line((0, 0, 0), (0.29, 0, 0), duration_s=9.0))
         with pytest.raises(UsageError, match=r"0\.31 m away"):
             bench.check(line((0, 0, 0), (0.31, 0, 0), duration_s=9.0))
+
+
+def test_a_robot_that_stands_elsewhere_than_the_bench_file_says_may_go_as_far():
+    with bench_with("tracker:silent@3+1", stands=(0.2, 0.0, 0.0)) as bench:
+        start = bench.settle()
+        bench.drive(line(start, start + [0.2, 0, 0], duration_s=6.0))
+        with pytest.raises(UsageError, match=r"0\.3\d m away"):
+            bench.check(line(start + [0.2, 0, 0], start + [0.35, 0, 0], duration_s=6.0))
 
 
 def test_the_way_counts_over_all_motions_with_faults():
