@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
 
+import numpy as np
 import pytest
 
 import hil
@@ -27,12 +30,17 @@ from hil.robot.trajectories import line
 
 
 def bench_with(
-    *specs: str, profile: str = "emulated", stands: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    *specs: str,
+    profile: str = "emulated",
+    overrides: Mapping[str, object] = MappingProxyType({}),
+    stands: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    at_chips: Sequence[str] = (),
 ) -> Bench:
     """A bench in virtual time whose emulated devices have faults at their links, as real ones do."""
     faults = tuple(map(parse_fault, specs))
-    model = make_bench_model(profile)
-    world = build_world(load_bench(profile, overrides={"environment.start_pose": list(stands)}), seed=2)
+    model = make_bench_model(load_bench(profile, overrides=overrides))
+    there = load_bench(profile, overrides={**overrides, "environment.start_pose": list(stands)})
+    world = build_world(there, seed=2, faults=[*map(parse_fault, at_chips)])
     connected = connect_in_process(model.config, world)
     clock = VirtualClock(world)
     injection = Injection(model.config, clock, faults)
@@ -111,9 +119,34 @@ def test_with_faults_a_robot_on_a_wall_is_not_led_far():
 def test_a_robot_that_stands_elsewhere_than_the_bench_file_says_may_go_as_far():
     with bench_with("tracker:silent@3+1", stands=(0.2, 0.0, 0.0)) as bench:
         start = bench.settle()
-        bench.drive(line(start, start + [0.2, 0, 0], duration_s=6.0))
+        there, beyond = (np.add(start, (ahead_m, 0, 0)) for ahead_m in (0.2, 0.35))
+        bench.drive(line(start, there, duration_s=6.0))
         with pytest.raises(UsageError, match=r"0\.3\d m away"):
-            bench.check(line(start + [0.2, 0, 0], start + [0.35, 0, 0], duration_s=6.0))
+            bench.check(line(there, beyond, duration_s=6.0))
+
+
+BLIND_BOTH = ("tracker:silent@3+1.5", "mocap:silent@3+1.5")
+HEARD = {"thrust": {"backend": "emulated", "model": "vesc"}}
+"""Propellers that report their push: load cells alone then show whether the robot can slide."""
+
+
+def test_cells_that_feel_enough_let_the_robot_go_on_where_no_camera_sees_it():
+    with bench_with(*BLIND_BOTH, overrides=HEARD) as bench:
+        bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=4.0), feedback="ekf")
+    assert bench.held.state == "HELD"
+
+
+def test_cells_that_feel_too_little_stop_it_while_no_camera_sees_it():
+    with bench_with(
+        *BLIND_BOTH, overrides=HEARD, at_chips=["adhesion:adhesion_loss@3.5,factor=0.4"]
+    ) as bench:
+        with pytest.raises(SafetyStop) as stop:
+            bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=6.0), feedback="ekf")
+        stopped_s = bench.world_ns / 1e9
+    assert stop.value.reason == "adhesion"
+    assert 3.5 < stopped_s < 4.0
+    assert bench.truth().fallen is False
+    assert bench.held.state == "HELD"
 
 
 def test_the_way_counts_over_all_motions_with_faults():
