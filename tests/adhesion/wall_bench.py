@@ -1,5 +1,7 @@
 """A bench that drives up and down a wall until it is killed; stopped by a busy computer, it begins again.
 
+Arguments: its bench file, `patient` for a busy computer, and faults of its real devices.
+
 SIGUSR1 sets the time of day forward by an hour, for this process: nothing that drives may go by it.
 """
 
@@ -33,7 +35,8 @@ def main():
     signal.signal(signal.SIGUSR1, set_the_clock)
     for _ in range(ATTEMPTS):
         try:
-            with open_bench(sys.argv[1], overrides=PATIENT) as bench:
+            faults = [word for word in sys.argv[2:] if word != "patient"]
+            with open_bench(sys.argv[1], overrides=PATIENT, faults=faults, inject_real=True) as bench:
                 drive_for_ever(bench)
         except HilError as error:
             sys.stderr.write(f"{error}\n")

@@ -17,6 +17,7 @@ import can
 import tomli_w
 from kills import both, daemon_pid, wait_until
 
+from hil.bench import open_bench
 from hil.bench.fan_commands import daemon_spec
 from hil.config.loading import load_bench
 from hil.core.device import Connection
@@ -25,6 +26,7 @@ from tests.patience import FANLESS, PATIENT
 
 FOLDER = Path(__file__).parent
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(FOLDER.parents[1]), *sys.path])}
+HALF_BLIND = "tracker:drop@0.1,probability=0.5"
 _SET_COMMANDS = range(5)
 
 
@@ -64,6 +66,7 @@ class Robot:
         real = config.model_copy(update=tables)
         tree = real.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_unset=True)
         tree["environment"]["start_pose"] = [0.0, 0.0, 0.0]
+        tree["faults"] = {"real": "wall", "devices": ["tracker"]}
         tree.pop("emulation", None)
         path = folder / "robot.toml"
         path.write_text(tomli_w.dumps(tree))
@@ -136,18 +139,24 @@ def killed(robot, commands, pid, rng):
     return gap_s, robot.truth()
 
 
-def benches_killed(robot, path, count, seed):
-    """Benches killed while they drive, each followed by another that takes the robot over."""
+def benches_killed(robot, path, count, seed, faults=()):
+    """Benches killed while they drive, perhaps with faults, each followed by another that takes over."""
     rng, found = random.Random(seed), []
     with Commands(path) as commands:
         for _ in range(count):
-            with bench_driving(path) as process:
+            with bench_driving(path, *faults) as process:
                 gap_s, before = killed(robot, commands, process.pid, rng)
             time.sleep(0.5)
             after = robot.truth()
             still = dist(before["pose"][:2], after["pose"][:2]) < 5e-4
             found.append(WallKill(gap_s, still and not after["fallen"]))
     return found
+
+
+def poses_per_s(path, duration_s=3.0):
+    """Poses of the camera per second on a bench without faults, which sends 200 of them."""
+    with open_bench(path) as bench:
+        return sum(len(record.inputs.tracker) for record in bench.observe(duration_s).records) / duration_s
 
 
 def daemons_killed(robot, path, count, seed):
