@@ -1,9 +1,11 @@
-"""`hil jog`: one wheel, one steering axis or the body by the keyboard, while a key is held."""
+"""`hil jog`: one wheel, one steering axis or the body by keyboard or gamepad, while a key is held."""
 
 from __future__ import annotations
 
 import sys
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,7 @@ import click
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.live import drive, must_be_held, open_aloud, open_recorder, real_time_source
 from hil.cli.options import JSON, FiniteRange
+from hil.cli.progress import for_a_program
 from hil.cli.session_folder import SessionFolder, out_option
 from hil.core.errors import EXIT_PASS, Aborted, UsageError
 from hil.core.signals import WHEELS
@@ -19,7 +22,7 @@ from hil.core.signals import WHEELS
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.live import LivePlan
-    from hil.live.held_keys import HeldKeys
+    from hil.live.held_keys import Keys
 
 _WAYS = {
     "body": "w s ahead and back, a d to the left and right, q e turn",
@@ -32,6 +35,7 @@ _WAYS = {
 @click.option("--wheel", type=click.Choice(WHEELS), help="Wheel to roll.")
 @click.option("--steer", type=click.Choice(WHEELS), help="Steering axis to turn.")
 @click.option("--body", is_flag=True, help="The whole robot.")
+@click.option("--gamepad", is_flag=True, help="Stick or cross of a gamepad, with its left shoulder held.")
 @click.option(
     "--speed",
     "speed_m_s",
@@ -56,36 +60,32 @@ def command(
     wheel: str | None,
     steer: str | None,
     body: bool,
+    gamepad: bool,
     speed_m_s: float,
     turn_rad_s: float,
     out: Path | None,
     as_json: bool,
 ) -> int:
-    """Move the robot by the keyboard, in real time; it stops when the key is let go.
+    """Move the robot by keyboard or gamepad, in real time; it stops when the key is let go.
 
     A key counts as let go when the terminal has not repeated it for 0.15 s, and is ignored after 10 s until
     it is let go. Key x ends the session; so does a terminal that is closed. Limits, checks, the recording in
-    out/live and HELD at the end are those of `hil live`.
+    out/live and HELD at the end are those of `hil live`. With --gamepad the left shoulder button is held all
+    the time, button Back ends the session, and so does a gamepad that is lost.
 
     Example: hil jog --bench emulated --wheel FL
     """
     from hil.live import LivePlan, LiveSession
-    from hil.live.held_keys import CLOSED, LET_GO_S, HeldKeys, key_by_key
+    from hil.live.held_keys import LET_GO_S, LOST
     from hil.live.jog import BodyKeys
     from hil.support.interrupt_signals import StopRequest
 
     if (wheel is not None) + (steer is not None) + body != 1:
         raise UsageError("hil jog moves one thing", expected="one of --wheel NAME, --steer NAME and --body")
-    if sys.stdin is None or not sys.stdin.isatty():
-        raise UsageError(
-            "hil jog reads keys, and standard input is no terminal",
-            remedy="start it in a terminal; a program sends velocities to `hil live --command stdin`",
-        )
-    terminal = sys.stdin.fileno()
     source = real_time_source(request)
     stop, folder = StopRequest(), SessionFolder(out, "jog")
-    with stop.noted(), closing(open_aloud(source)) as opened:
-        keys = HeldKeys(terminal, opened.clock.now_ns)
+    with stop.noted(), _operator(gamepad) as make_keys, closing(open_aloud(source)) as opened:
+        keys = make_keys(opened.clock.now_ns)
         if body:
             lines = BodyKeys(keys, speed_m_s, turn_rad_s)
             plan = LivePlan(commands=lines, dead_man_s=LET_GO_S, over=lambda: keys.ended)
@@ -97,16 +97,40 @@ def command(
             plan = _of_joint(opened, keys, f"steer_{steer}", turn_rad_s)
         recorder = open_recorder(opened, folder.recording, "stop")
         session = LiveSession(opened, plan, recorder=recorder, stop=stop)
-        with key_by_key(terminal):
-            click.echo(f"hold a key: {_WAYS['body' if body else 'joint']}; x ends", err=True)
-            drive(session, folder, None, as_json=as_json)
+        click.echo(f"hold a key: {_WAYS['body' if body else 'joint']}; x ends", err=True)
+        drive(session, folder, None, as_json=as_json)
         must_be_held(opened, recorder, stop)
-        if keys.ended == CLOSED:
-            raise Aborted("the terminal was closed")
+        if keys.ended in LOST:
+            raise Aborted(keys.ended)
     return EXIT_PASS
 
 
-def _of_joint(bench: Bench, keys: HeldKeys, joint: str, rate_rad_s: float) -> LivePlan:
+@contextmanager
+def _operator(gamepad: bool) -> Iterator[Callable[[Callable[[], int]], Keys]]:
+    """Yield what makes the operator's keys on a clock: those of a gamepad, a terminal, or a program."""
+    from hil.live.held_keys import HeldKeys, key_by_key
+
+    if gamepad:
+        from hil.live.gamepad import Gamepad
+
+        with closing(Gamepad()) as pad:
+            click.echo(f"gamepad: {pad.name}; the left shoulder is held all the time, Back ends", err=True)
+            yield pad.on
+    elif sys.stdin is not None and sys.stdin.isatty():
+        terminal = sys.stdin.fileno()
+        with key_by_key(terminal):
+            yield partial(HeldKeys, terminal)
+    elif sys.stdin is not None and for_a_program():
+        yield partial(HeldKeys, sys.stdin.fileno())
+    else:
+        raise UsageError(
+            "hil jog reads keys, and standard input is no terminal",
+            remedy="start it in a terminal, or give --gamepad; a program sends velocities to `hil live "
+            "--command stdin`",
+        )
+
+
+def _of_joint(bench: Bench, keys: Keys, joint: str, rate_rad_s: float) -> LivePlan:
     """The plan by which the keys move one joint of an open bench."""
     from hil.live import LivePlan
     from hil.live.jog import JointJog

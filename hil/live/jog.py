@@ -11,7 +11,7 @@ from hil.core.external_commands import ExternalCommand, ExternalCommands
 from hil.core.interfaces import CommandingSink
 from hil.core.known_names import JOG
 from hil.core.signals import CycleRecord
-from hil.live.held_keys import HeldKeys
+from hil.live.held_keys import Keys
 from hil.live.velocity_input import CommandLines
 
 if TYPE_CHECKING:
@@ -32,9 +32,9 @@ class BodyKeys(CommandLines):
         speed_m_s, turn_rad_s: speed ahead and to the left, and rate of turning.
     """
 
-    where = "the keyboard"
+    where = "the operator"
 
-    def __init__(self, keys: HeldKeys, speed_m_s: float, turn_rad_s: float) -> None:
+    def __init__(self, keys: Keys, speed_m_s: float, turn_rad_s: float) -> None:
         self._keys, self._speed_m_s, self._turn_rad_s = keys, speed_m_s, turn_rad_s
 
     def pending(self) -> list[str]:
@@ -59,7 +59,7 @@ class JointJog(CommandingSink):
         rate_rad_s: rate of the joint while a key is held.
     """
 
-    def __init__(self, joint: str, keys: HeldKeys, rate_rad_s: float) -> None:
+    def __init__(self, joint: str, keys: Keys, rate_rad_s: float) -> None:
         self.name = JOG + joint
         self._joint, self._keys, self._rate_rad_s, self._moved = joint, keys, rate_rad_s, 0
 

@@ -31,6 +31,7 @@ MODULES = {
     "campaign": "distributed",
     "mujoco": "mujoco",
     "paper": "pymoo",
+    "gamepad": "sdl2",
     "ros2": "cyclonedds",
 }
 
