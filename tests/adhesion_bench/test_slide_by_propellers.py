@@ -28,6 +28,7 @@ def test_propellers_that_push_wrongly_are_set_against_the_slide(factor, at_s, pl
     assert not end.fallen
     assert end.held.state == "HELD"
     assert end.moved_m < 0.001
+    assert end.told
 
 
 @pytest.mark.parametrize("plant", ["own", "mujoco"])

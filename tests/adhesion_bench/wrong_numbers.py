@@ -94,6 +94,7 @@ class End(NamedTuple):
         thrust_n: push of the propellers at the end.
         could: whether anything could have held the robot: propellers that push by a far wrong force leave
             no time, and after the close nothing sees a slide.
+        told: number of warnings and errors that the bench told.
     """
 
     stop: str
@@ -106,6 +107,7 @@ class End(NamedTuple):
     least_n: float
     thrust_n: float
     could: bool
+    told: int
 
 
 def drive(case, seed):
@@ -145,6 +147,7 @@ def drive(case, seed):
         min(lowest),
         end.thrust_n,
         can_be_held(true_share(case), watched=begun_ns < closed_ns),
+        len(bench.seen.rows()),
     )
 
 

@@ -65,8 +65,8 @@ class HeldDevices:
         self._closed_ns: int | None = None
         self._looked_ns: int | None = None
         self.pressed = ""
-        self._hold = HoldMonitor(model, rig, clock)
         self.seen = SeenEvents(self._since_begun_ns)
+        self._hold = HoldMonitor(model, rig, clock, self.seen.add)
         self._sinks = [*sinks, self.seen]
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,6 +34,7 @@ from hil.core.signals import (
     KINDS,
     SERVOS,
     CycleRecord,
+    Event,
     ImuSample,
     Inputs,
     RobotState,
@@ -130,13 +131,17 @@ class HoldMonitor(Sink):
             read.
         rig: devices of the bench.
         clock: the bench clock.
+        tell: called with an event when the check raises fan or propellers.
 
     Attributes:
         tilt: measured tilt: "on the floor" is accepted only if it does not contradict.
         last_state: estimate of the latest cycle; None before.
     """
 
-    def __init__(self, model: BenchModel, rig: DeviceSet, clock: Clock) -> None:
+    def __init__(
+        self, model: BenchModel, rig: DeviceSet, clock: Clock, tell: Callable[[Event], None]
+    ) -> None:
+        self._tell = tell
         config, elsewhere = model.config, model.config.elsewhere()
         self.tilt = TiltWatch(config)
         self._press = press_watch(config, rig)
@@ -156,7 +161,7 @@ class HoldMonitor(Sink):
         self._doubted: dict[str, bool] = {}
         self._reads, self._unread = 0, Counter[str]()
         self._pressed_ns: int | None = None
-        self._moving = self._seen_moving = False
+        self._moving = self._seen_moving = self._pushed = False
         self._jumps, self._slides = FrameJumps(), SlideWatch(model, self._seeing)
         self._vote = CameraVote()
         self._let_go = False
@@ -250,7 +255,7 @@ class HoldMonitor(Sink):
         self._press.begin(for_good=for_good)
         self._slides.begin()
         self._vote.begin()
-        self._pressed_ns = None
+        self._pressed_ns, self._pushed = None, False
         self._felt_m_s2.clear()
         self._reads, self._unread = 0, Counter()
         self._lost_ns()
@@ -305,9 +310,17 @@ class HoldMonitor(Sink):
         if self._can_fall and self._pressed_ns is None and (slides or self._press.lacks):
             self._pressed_ns = now_ns
             self._rig.brace()
+            why = "the robot still moves" if slides else "the measured force is too small, or falls"
+            fan = "no fan can be raised" if self._rig.get("adhesion") is None else "the fan is raised"
+            self._tell(Event(now_ns, "warning", "bench", f"{why} after the stop: {fan}"))
         push = self._press.push_against(along_m) if self._can_fall else None
-        if push is not None:
-            self._rig.push(push, falls=self._falls())
+        if push is None:
+            return
+        refused = self._rig.push(push, falls=self._falls())
+        if not (self._pushed or refused):
+            self._pushed = True
+            said = f"the robot slides after the stop: the propellers are set to {push.force_n:.1f} N"
+            self._tell(Event(now_ns, "warning", "bench", said))
 
     def _grounds(self, t_ns: int, seen: Collection[str], places: Collection[str]) -> str:
         """Text with the evidence that the robot is held."""
