@@ -12,7 +12,7 @@ from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.device import DeviceConfig
 from hil.config.field_types import PolePairs, Switch, Within
 from hil.config.parameter import Parameter, instead, times
-from hil.robot.motor_cross_checks import DROOP, MotorRatings
+from hil.robot.motor_cross_checks import DROOP, MotorRatings, force_of_speed
 
 VESC_ID = "VESC id"
 VescId = Annotated[int, Within(0, 254, "255 addresses all")]
@@ -59,7 +59,7 @@ class AdhesionConfig(DeviceConfig):
 
     def force_at_n(self, speed_rpm: float) -> float:
         """Force of the fan at a speed, N; below 0 for a fan that turns backwards."""
-        return self.ratings().force_at_n(speed_rpm)
+        return force_of_speed(self.rated_force_n, self.rated_rpm, speed_rpm)
 
     def speed_for_rpm(self, force_n: float) -> float:
         """Speed of the fan for a force, 1/min."""

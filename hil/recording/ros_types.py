@@ -145,8 +145,8 @@ class MessageMaker:
         if no joint is left.
         """
         columns = [np.asarray(column, dtype=np.float64) for column in (position, velocity, effort)]
-        finite = [np.isfinite(column) for column in columns]
-        if not all(there.all() for there in finite):
+        if not all(all(map(math.isfinite, column.tolist())) for column in columns):
+            finite = [np.isfinite(column) for column in columns]
             given = [there for there in finite if there.any()]
             known = np.all(given, axis=0) if given else np.zeros(len(names), dtype=bool)
             if not known.any():

@@ -36,6 +36,18 @@ _STEADY_SHARE, _STEADY_NS = 0.02, 1_000_000_000
 SPEED, VOLTAGE, POWER = "the fan's speed", "the fan's duty and voltage", "the fan's power"
 
 
+def force_of_speed(rated_n: float, rated_rpm: float, speed_rpm: float) -> float:
+    """Force of a fan or propeller at a speed, N; below 0 for one that turns backwards.
+
+    Args:
+        rated_n: force at the rated speed, N; the force goes with the square of the speed.
+        rated_rpm: rated speed, 1/min.
+        speed_rpm: speed, 1/min.
+    """
+    share = speed_rpm / rated_rpm
+    return rated_n * share * abs(share)
+
+
 @dataclass(frozen=True)
 class MotorRatings:
     """Numbers of the bench file that turn a motor's measurements into speeds and forces.
@@ -63,8 +75,7 @@ class MotorRatings:
 
     def force_at_n(self, speed_rpm: float) -> float:
         """Force at a speed, N; below 0 for a motor that turns backwards."""
-        share = speed_rpm / self.rated_rpm
-        return self.rated_n * share * abs(share)
+        return force_of_speed(self.rated_n, self.rated_rpm, speed_rpm)
 
     def motor_v(self, speed_rpm: float) -> float:
         """Voltage at the motor that holds a speed, V."""
