@@ -25,9 +25,10 @@ _OFFERED = {
     "accept": ("whole benches", "The first day", ("--bench", "--on-stand")),
     "commission": ("whole benches", "All procedures in order", ("--bench", "--quick")),
     "live": ("live", "Watch the live loop", ("--bench", "--duration")),
+    "jog": ("live", "Move the robot by hand", ("--bench", "--wheel", "--steer", "--body")),
 }
 """Commands that the console starts: heading, and which of their options are seen at first."""
-_TERMINAL = {"answers", "fix", "dry", "resume", "commands", "script", "settings"}
+_TERMINAL = {"answers", "fix", "dry", "resume", "commands", "script", "settings", "gamepad"}
 _NEVER = {"as_json", "out", "record", "unrecorded"} | _TERMINAL
 """Options that the console sets itself, or that belong to a terminal."""
 _SEEN = ("--bench", "--quick")
@@ -148,7 +149,7 @@ def _script(run: click.Command, root: Path) -> Action:
 def _where(command: str, name: str, root: Path) -> Sequence[str]:
     """Options for the output of a run, and for questions that the console answers on stdin."""
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
-    if command == "live":
+    if command in ("live", "jog"):
         return "--out", str(root / "live" / stamp)
     return () if command == "doctor" else ("--out", str(root / name / stamp), "--answers", "-")
 

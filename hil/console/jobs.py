@@ -206,7 +206,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
     claim = job.folder / f"{ANSWER}{question_id}"
     if not first(claim):
         return "another user has just answered that question"
-    if _put(job, line):
+    if put(job, line):
         return ""
     claim.unlink(missing_ok=True)
     return f"{job.title} has ended"
@@ -221,8 +221,13 @@ def first(claim: Path) -> bool:
     return True
 
 
-def _put(job: Job, line: bytes) -> bool:
-    """Write a line to the standard input of a job, whole or not at all; returns whether it was written."""
+def put(job: Job, line: bytes) -> bool:
+    """Write to the standard input of a job, all or nothing; returns whether it was written.
+
+    Args:
+        job: job that reads it.
+        line: less than `PIPE_BUF` bytes.
+    """
     try:
         pipe = os.open(job.folder / STDIN, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:

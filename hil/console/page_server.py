@@ -18,6 +18,7 @@ from hil.config.device_place import device_place
 from hil.config.loading import load_bench
 from hil.console import jobs
 from hil.console.command_forms import Action
+from hil.console.held_buttons import KEYS, hold
 from hil.console.job_stopping import finish
 from hil.console.past_figures import past
 from hil.console.stop_server import asset
@@ -98,6 +99,7 @@ class PageProcess:
             ("GET", "/console.js"): lambda _: asset("console.js"),
             ("GET", "/forms.js"): lambda _: asset("forms.js"),
             ("GET", "/plots.js"): lambda _: asset("plots.js"),
+            ("GET", "/hold.js"): lambda _: asset("hold.js"),
             ("GET", "/style.css"): lambda _: asset("style.css"),
         }
         asked: dict[tuple[str, str], Route] = {
@@ -109,6 +111,7 @@ class PageProcess:
             ("POST", "/api/start"): self._start,
             ("POST", "/api/answer"): self._answer,
             ("POST", "/api/finish"): self._finish,
+            ("POST", "/api/hold"): self._hold,
             ("GET", RESULTS): self._result,
             ("GET", PAGES): self._file,
             ("GET", "/trends"): self._trends,
@@ -197,6 +200,14 @@ class PageProcess:
 
     def _finish(self, request: Request) -> Reply:
         if why_not := finish(self._one(request)):
+            raise Refused(HTTPStatus.CONFLICT, why_not)
+        return as_json({})
+
+    def _hold(self, request: Request) -> Reply:
+        job, key = self._one(request), request.body.get("key")
+        if key not in KEYS:
+            raise Refused(HTTPStatus.BAD_REQUEST, f"expected a key: one of {', '.join(KEYS)}")
+        if why_not := hold(job, str(key)):
             raise Refused(HTTPStatus.CONFLICT, why_not)
         return as_json({})
 

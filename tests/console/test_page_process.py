@@ -9,8 +9,11 @@ import pytest
 
 from hil.console import jobs
 from hil.console.command_forms import Action, Field
+from hil.console.held_buttons import KEYS
 from hil.console.page_server import PageProcess
 from hil.console.web_server import Refused, Request
+from hil.core.clock import nanoseconds
+from hil.live.held_keys import LET_GO_S, HeldKeys
 from tests.console.test_jobs import job_in
 
 
@@ -190,3 +193,44 @@ def test_a_page_that_is_opened_later_learns_the_whole_path(page):
     assert [figures["t_s"] for figures in found["latest"]][-2:] == [2500.0, 2501.0]
     with pytest.raises(Refused, match="no such run"):
         page("GET", "/api/past", job="../x")
+
+
+def test_a_held_button_is_a_key_of_hil_jog_until_it_is_let_go_or_stop_is_pressed(page):
+    root = page.results / "console" / "jobs"
+    mine = jobs.identity(os.getpid())
+    job = job_in(root, process=mine, words=["jog", "--body", "--json"])
+    os.mkfifo(job.folder / jobs.STDIN)
+    pipe, t_ns = os.open(job.folder / jobs.STDIN, os.O_RDWR), 0
+    keys = HeldKeys(pipe, lambda: t_ns)
+    assert keys.held() == ""
+    for key in KEYS:
+        t_ns += 10_000_000
+        page("POST", "/api/hold", {"job": job.name, "key": key})
+        assert keys.held() == key
+    t_ns += nanoseconds(LET_GO_S)
+    assert keys.held() == KEYS[-1]
+    t_ns += 1
+    assert keys.held() == ""
+    for key in ("x", "ww", "", None, 1):
+        with pytest.raises(Refused) as refused:
+            page("POST", "/api/hold", {"job": job.name, "key": key})
+        assert refused.value.status == HTTPStatus.BAD_REQUEST
+    (job.folder / jobs.STOPPED).write_text("{}")
+    with pytest.raises(Refused) as refused:
+        page("POST", "/api/hold", {"job": job.name, "key": "w"})
+    assert refused.value.status == HTTPStatus.CONFLICT
+    assert keys.held() == ""
+    os.close(pipe)
+
+
+def test_a_button_moves_nothing_in_what_is_no_jog(page):
+    mine = jobs.identity(os.getpid())
+    job = job_in(page.results / "console" / "jobs", process=mine, words=["run", "x", "--json"])
+    os.mkfifo(job.folder / jobs.STDIN)
+    pipe = os.open(job.folder / jobs.STDIN, os.O_RDWR | os.O_NONBLOCK)
+    with pytest.raises(Refused) as refused:
+        page("POST", "/api/hold", {"job": job.name, "key": "w"})
+    assert refused.value.status == HTTPStatus.CONFLICT
+    with pytest.raises(BlockingIOError):
+        os.read(pipe, 1)
+    os.close(pipe)

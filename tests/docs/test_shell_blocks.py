@@ -44,7 +44,7 @@ def rule(line):
         return f'cd source && {shown} {BUILDS} --target "$(mktemp -d)"'
     if re.match(r"hil (run \S+ --realtime|run \S+ --bench|run short_line)", line):
         return f"{line} --dry-run"
-    if re.match(r"hil (run bring_up|doctor|discover)", line):
+    if re.match(r"hil (run bring_up|doctor|discover|console|jog)", line):
         return f"{line} --help"
     if line.startswith(("hil emulate --out", "python examples/", "kill %1")):
         return None  # tests/emulate pastes the block

@@ -158,6 +158,7 @@ function show(jobs) {
     if (job && !job.running && job.findings) findings(job.findings);
   }
   settle(questionOf(job));
+  holders(job);
   const start = at("start");
   if (start) start.disabled = Boolean(job && job.running);
   at("examine").disabled = offer === null || Boolean(job && job.running);
