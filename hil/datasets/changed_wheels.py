@@ -43,7 +43,7 @@ def changed_wheels(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
         recordings: recordings of one robot.
         geometry: wheels that the ways are computed for.
     """
-    logs = {one.name: off for one in recordings if (off := _off(one, geometry)) is not None}
+    logs = _logs(recordings, geometry)
     by_motion = dict[str, list[str]]()
     for one in recordings:
         if one.name in logs:
@@ -51,7 +51,7 @@ def changed_wheels(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     if not logs:
         return ()
     middle = _middle(np.array(list(logs.values())))
-    alone = _only(middle, _ALONE, _TOGETHER / _ALONE)
+    alone = _alone(middle)
     out = list[str]()
     if alone is not None:
         out.append(
@@ -76,6 +76,20 @@ def changed_wheels(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
             for wheel, found in named.items()
         ),
     )
+
+
+def wheel_alone(recordings: Sequence[Recording], geometry: WheelGeometry) -> int | None:
+    """Index of the wheel that in most recordings is off by 0.15 and the others by less than 0.05; or None."""
+    logs = _logs(recordings, geometry)
+    return _alone(_middle(np.array(list(logs.values())))) if logs else None
+
+
+def _alone(middle: Complexes) -> int | None:
+    return _only(middle, _ALONE, _TOGETHER / _ALONE)
+
+
+def _logs(recordings: Sequence[Recording], geometry: WheelGeometry) -> dict[str, Complexes]:
+    return {one.name: off for one in recordings if (off := _off(one, geometry)) is not None}
 
 
 def _off(one: Recording, geometry: WheelGeometry) -> Complexes | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.core.geometry import Array
+from hil.datasets.changed_wheels import wheel_alone
 from hil.datasets.sampling import is_slow
 from hil.datasets.truth_deviations import SCALE_STD, STDS, beyond, beyond_alone, significant, typical, uneven
 from hil.datasets.truth_fit import TruthFit, truth_fit
@@ -61,7 +62,8 @@ def corrected(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings with corrected ground truth; their `notes` say how.
 
     Stamps are corrected from 0.03 s on (with slow ground truth a tenth of its period more), a fast clock from
-    0.05 % (0.1 % in a single recording), a heading from 0.03 rad, a centre from 10 mm. A heading that is 0.04
+    0.05 % (0.1 % in a single recording), a heading from 0.03 rad (where no single wheel explains it,
+    `wheel_alone`), a centre from 10 mm. A heading that is 0.04
     rad from that of most other recordings, or a centre that is 20 mm from theirs, is of another body:
     `contradictions` say so. A heading that is more than a radian off is not corrected, it contradicts; half a
     turn is left to `wrong_signs`. What is no clock, heading or centre is not corrected either: axes of
@@ -97,6 +99,8 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
     heading, by_ways = _agreed(headings, _HEADING_STD_RAD, _OTHER_RAD)
     centre_m, by_turns = _agreed([(fit.centre_m, fit.centre_std_m) for fit in known], _CENTRE_STD_M, _OTHER_M)
     heading_rad = heading.real if abs(heading) >= _HEADING_RAD else 0.0
+    if heading_rad and wheel_alone(recordings, recordings[0].nominal.geometry) is not None:
+        heading_rad = 0.0
     centre_m = centre_m if abs(centre_m) >= _CENTRE_M else 0j
     delays_s = [
         fit.late_s

@@ -15,12 +15,22 @@ from hil.datasets.truth_fit import TruthFit
 STDS, SCALE_STD = 4.0, 0.012
 _DRIFT_RAD_S, _DRIFT_STD_RAD_S, _SKEW, _SKEW_STD = 1.5e-3, 2.5e-3, 0.01, 0.01
 _WOBBLE_S, _WOBBLE_STDS = 0.04, 2.0
+_SMOOTH_S2, _SMOOTH_STD_S2 = 0.15**2, 0.07**2
 _DRIFT_ALONE_RAD_S, _SKEW_ALONE, _SCALE_ALONE = 2e-3, 0.015, 0.04
 """Bounds for a recording that differs from the others of its set."""
 
 
 def beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
     """What is wrong with the ground truth of a set that no clock, heading or centre explains, in words."""
+    smooth_s2 = significant(
+        [(complex(fit.smooth_s2), fit.smooth_std_s2) for fit in known], _SMOOTH_S2, _SMOOTH_STD_S2
+    ).real
+    if smooth_s2 > 0.0:
+        return (
+            "its ground truth is smoother than the motion of the wheels, spread over "
+            f"{np.sqrt(smooth_s2):.2f} s or more (standard deviation), and so wrong wherever the motion "
+            "changes: it was filtered, averaged, or filled in between fewer poses; take poses as measured",
+        )
     out = []
     skew = significant([(fit.skew, fit.skew_std) for fit in known], _SKEW, _SKEW_STD)
     drift_rad_s = significant(

@@ -22,6 +22,8 @@ from hil.robot.kinematics import twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate
 
 _GRID_S, _WINDOW_S = 0.02, 0.2
+_BEND_S = 0.2
+"""Step of the second derivative by the delay, s."""
 _ALIKE, _MOST_FAST = 0.9, 0.06
 _GAPS_LONGER = 1.5
 _ROUNDS, _UNEXPLAINED, _OVERLAP, _STDS = 5, 0.2, 3.0, 5.0
@@ -53,6 +55,8 @@ class TruthFit:
         skew_std: standard error of its two parts, the larger one.
         wobble_s: largest delay that is no stretch of the clock, about the middle of the recording.
         wobble_std_s: standard error of `wobble_s`.
+        smooth_s2: variance, s^2, of the times over which the ground truth averages the motion of the wheels.
+        smooth_std_s2: standard error of `smooth_s2`.
     """
 
     late_s: float
@@ -70,6 +74,8 @@ class TruthFit:
     skew_std: float
     wobble_s: float
     wobble_std_s: float
+    smooth_s2: float
+    smooth_std_s2: float
 
 
 def truth_fit(recording: Recording) -> TruthFit | None:
@@ -125,6 +131,9 @@ def _found(recording: Recording) -> TruthFit | None:
     size = np.maximum(np.linalg.norm(every, axis=0), _LEAST)
     more = np.linalg.lstsq(every / size, wanted, rcond=1e-6)[0] / size
     more_std = _errors(every, wanted - every @ more, overlap)
+    (u1, v1, _), (u0, v0, _) = (rolled(late_s + step) for step in (_BEND_S, -_BEND_S))
+    bent = [turned[0] * (u1 - 2.0 * u + u0), turned[1] * lever * (v1 - 2.0 * v + v0)]
+    averaged = _averaged(np.concatenate([bent[0].real, bent[0].imag, bent[1]]) * np.tile(seen, 3), rows, left)
     return TruthFit(
         late_s,
         fast,
@@ -141,7 +150,25 @@ def _found(recording: Recording) -> TruthFit | None:
         float(max(more_std[1:3])),
         float(np.hypot(*more[3:5])),
         float(max(more_std[3:5])),
+        averaged[0],
+        averaged[1] * overlap**0.5,
     )
+
+
+def _averaged(bent: Array, rows: Array, left: Array) -> tuple[float, float]:
+    """Variance, s^2, of the times over which a motion is averaged, and its standard error.
+
+    An average is later and earlier by turns: it adds half the variance times the second derivative.
+
+    Args:
+        bent: (n,) second differences of the motion over `_BEND_S`.
+        rows: (n, k) derivatives that the fit has used.
+        left: (n,) what it has left.
+    """
+    every = np.hstack([2.0 / _BEND_S**2 * 0.25 * bent[:, None], rows])
+    size = np.maximum(np.linalg.norm(every, axis=0), _LEAST)
+    found = np.linalg.lstsq(every / size, left, rcond=1e-6)[0] / size
+    return float(found[0]), float(_errors(every, left - every @ found, 1.0)[0])
 
 
 def _unlike_rows(

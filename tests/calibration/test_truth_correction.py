@@ -293,3 +293,29 @@ def test_a_scale_that_no_radius_can_have_is_refused_and_noise_is_no_distance(per
         for one in perfect
     ]
     assert found(noisy) == ""
+
+
+def averaged(one, over_s):
+    """Ground truth of which each pose is the mean of those over so many seconds about it."""
+    rows = round(over_s / float(np.median(np.diff(one.truth_t_s)))) // 2 * 2 + 1
+    padded = np.pad(one.truth_pose, ((rows // 2, rows // 2), (0, 0)), mode="edge")
+    sums = np.cumsum(np.vstack([np.zeros(3), padded]), axis=0)
+    return replace(one, truth_pose=(sums[rows:] - sums[:-rows]) / rows)
+
+
+def test_averaged_poses_are_called_smoother_and_not_late_or_fast_or_drifting(data):
+    smoothed = corrected([averaged(one, 1.0) for one in data])
+    assert notes_of(smoothed) == []
+    assert all("smoother than the motion of the wheels" in one.contradictions[0] for one in smoothed)
+    assert not any(one.contradictions for one in corrected(data))
+
+
+@pytest.mark.parametrize("over_s", [0.4, 0.6])
+def test_the_variance_of_an_average_is_measured(perfect, over_s):
+    fits = [truth_fit(averaged(one, over_s)) for one in perfect]
+    assert np.median([fit.smooth_s2 for fit in fits]) == pytest.approx(over_s**2 / 12.0, rel=0.5)
+
+
+def test_one_wheel_set_wrongly_is_not_called_a_heading_of_the_ground_truth(perfect):
+    off = [replace(one, steering_rad=one.steering_rad + np.array([0.3, 0.0, 0.0, 0.0])) for one in perfect]
+    assert notes_of(corrected(off)) == []
