@@ -163,3 +163,15 @@ def usual(changes: Sequence[Change]) -> Spread:
     found = random_walk(usually)
     worth = max(found.freedom * _MEDIAN_SHARE, min(found.freedom, 1.0))
     return Spread(found.variance * worth, worth) if worth > 0.0 else found
+
+
+DEAD_ZONE = (
+    "a noise of exactly 0 means a dead zone: it reports no rate below some limit (the fusion of a BNO055 "
+    "none below 3 deg/s), and noise and bias at rest cannot be known"
+)
+"""What rates of a gyro that are all exactly 0 mean, in words."""
+
+
+def has_dead_zone(rates: Array) -> bool:
+    """Whether rates of a resting gyro, of any shape, are all exactly 0: a gyro that measures has noise."""
+    return bool(len(rates)) and not rates.any()

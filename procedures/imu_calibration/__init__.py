@@ -24,10 +24,11 @@ from hil.config.imu import Bno055Config
 from hil.config.robot_record import Figure
 from hil.core.errors import ConfigError, DeviceError
 from hil.core.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
+from hil.estimator.sample_statistics import DEAD_ZONE, has_dead_zone
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
-from hil.procedure.sample_arrays import inertial, poses
+from hil.procedure.sample_arrays import inertial, integrated, poses
 from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.imu_calibration.noise import BIAS_FACTOR, FEWEST, allan, evenly
 from hil.procedures.imu_calibration.report import draw_allan, draw_headings
@@ -95,10 +96,10 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     yield Measurement(
         "gyro_noise",
         "deg/s/√Hz",
-        low=0.002,
+        low=0.0,
         high=_NOISE_LIMIT,
         marginal=0.002,
-        rationale="data sheet 0.014 typical; almost none means that the sensor does not measure",
+        rationale="data sheet 0.014 typical; none means a dead zone, and that it is not known",
     )
     yield Measurement("gyro_noise_uncertainty", "deg/s/√Hz", rationale="half of the 95 % interval")
     yield Measurement(
@@ -109,6 +110,14 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
         rationale="lowest point of the Allan deviation: 60, plus what noise adds after so short a rest",
     )
     yield Measurement("accelerometer_noise", "mg/√Hz", high=0.6, marginal=0.1, rationale="0.15 typical")
+    yield Measurement(
+        "gyro_response",
+        "1",
+        low=0.8,
+        high=1.2,
+        marginal=0.05,
+        rationale="turns by the gyro over those by motion capture: a gyro that does not measure shows none",
+    )
     yield Measurement(
         "heading_offset",
         "deg",
@@ -265,6 +274,9 @@ def rest(ctx: Context, bench: Bench) -> None:
     force = (data.values[:, 5:8] + data.values[:, 8:11]) / _STANDARD_GRAVITY * 1e3
     densities = [allan(evenly(data.t_s, force[:, k], period_s), period_s).white_noise()[0] for k in range(3)]
     ctx.measure("accelerometer_noise", max(densities))
+    if has_dead_zone(data.values[:, 2:5]):
+        ctx.note(f"The gyro: {DEAD_ZONE}. Its turns and the offset of its heading are known.")
+        return
     draw_allan(ctx, curves, density)
     ctx.note(
         f"The Allan deviation was lowest at {at_s:.3g} s of averaging. Noise includes the chip's resolution "
@@ -275,15 +287,19 @@ def rest(ctx: Context, bench: Bench) -> None:
 def turn_and_compare(ctx: Context, bench: Bench) -> float:
     """Dwell at several headings; return gravity minus motion capture at the mean heading, rad."""
     p: Parameters = ctx.parameters
-    found = []
+    found, felt_rad, turned_rad = [], [], []
     pose = enable_hold(bench)
     path = turns(p, pose)
     for number, trajectory in enumerate(path):
-        bench.drive(trajectory, feedback="odometry", hold_s=0.3, start_pose=pose)
-        pose = enable_hold(bench)
+        motion = bench.drive(trajectory, feedback="odometry", hold_s=0.3, start_pose=pose)
+        rates = inertial(motion)
+        felt_rad.append(float(integrated(rates.t_s, rates[0])[-1]) if len(rates) else 0.0)
+        before, pose = pose, enable_hold(bench)
+        turned_rad.append(float(pose[2] - before[2]))
         if number < len(path) - 1:
             found.append(_dwell(bench, p))
         ctx.progress("headings", number + 1, len(path))
+    ctx.measure("gyro_response", float(np.dot(felt_rad, turned_rad) / np.dot(turned_rad, turned_rad)))
     true, seen = np.array(found).T
     error = wrap_array(seen - true)
     slope, _ = np.polyfit(true - true.mean(), error, 1)
@@ -355,6 +371,7 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
             ("gyro_bias_instability", "deg/h", None),
             ("accelerometer_noise", "mg/√Hz", None),
         )
+        if measured["gyro_noise"] > 0.0 or not name.startswith("gyro")
     }
     mounted = {"imu.mount_rotation_wxyz": values["imu"]["mount_rotation_wxyz"]}
     leave_part(ctx, "inertial", values=mounted, figures=figures, files={"imu.calibration_file": path})

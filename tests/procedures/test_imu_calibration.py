@@ -98,3 +98,20 @@ def test_imu_calibration_refuses_a_floor(tmp_path):
     done = run("imu_calibration", tmp_path / "run", SHORT, bench="emulated_floor")
     assert done.result.exit_code == 2
     assert not done.source.benches
+
+
+def test_a_gyro_with_a_dead_zone_is_calibrated_but_for_what_cannot_be_known(tmp_path):
+    """It reports nothing below 3 deg/s: no noise and no bias, and the turns of the robot all the same."""
+    done = run("imu_calibration", tmp_path, BRIEF, overrides={"emulation.imu.gyro_dead_zone_rad_s": 0.052})
+    assert done.result.verdict.value == "MARGINAL", done.failed or done.result.error
+    assert done.values["gyro_noise"] == 0.0
+    assert 0.85 < done.values["gyro_response"] < 1.0
+    assert any("dead zone" in note for note in done.result.facts["notes"])
+    kept = done.result.facts["record"]
+    assert kept is None or "gyro_noise" not in str(kept)
+
+
+def test_a_gyro_that_shows_no_turn_at_all_fails(tmp_path):
+    done = run("imu_calibration", tmp_path, BRIEF, overrides={"emulation.imu.gyro_dead_zone_rad_s": 3.0})
+    assert done.result.verdict.value == "FAIL"
+    assert "gyro_response" in done.failed

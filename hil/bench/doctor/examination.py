@@ -40,7 +40,7 @@ from hil.core.signals import Inputs, Measurements, Status, worst
 from hil.core.third_party_errors import OURS, call_in_package
 from hil.drivers.doctor_watch import Watched
 from hil.estimator.noise_parameters import MEASURED, NoiseFigure
-from hil.estimator.sample_statistics import Spread, about_a_line, blocks, total
+from hil.estimator.sample_statistics import DEAD_ZONE, Spread, about_a_line, blocks, total
 from hil.estimator.tuning import value_of
 from hil.links.serial_url import latency_timer
 from hil.loop.alignment import Alignment
@@ -97,6 +97,8 @@ def _finding(config: BenchConfig, one: NoiseFigure, words: str, spread: Spread) 
     part = known_parts(config).get("noise")
     kept = None if part is None else part.figures.get(one.label)
     sigma = spread.sigma()[0]
+    if sigma == 0.0 and one.device == "imu":
+        return Finding(one.device, words, "warning", DEAD_ZONE, "some noise", "hil run sensor_noise")
     found = f"{one.per_si * sigma:.3g} {one.unit}, mean NIS {spread.variance / taken**2:.2g}"
     if kept is None or part is None or kept.value <= 0.0:
         expected = f"the estimator takes {one.per_si * taken:.3g} {one.unit}, not measured"

@@ -40,6 +40,8 @@ class ImuTruthOptions:
     Attributes:
         position_m: chip in the body, (3,).
         gyro_noise_rad_s, accelerometer_noise_m_s2, magnetometer_noise_ut: white noise per sample and axis.
+        gyro_dead_zone_rad_s: rate below which an axis reports 0 while the fusion runs; 3 deg/s where it
+            shows nothing slower.
         gyro_bias_rad_s, accelerometer_offset_m_s2, magnetometer_offset_ut: constant errors, one sigma.
         yaw_drift_rad_s: drift of the fused heading without magnetometer, one sigma.
         leakage_s: time constant with which accelerations reach the fused vertical.
@@ -50,6 +52,7 @@ class ImuTruthOptions:
 
     position_m: Vector = (0.0655, 0.0, 0.098)
     gyro_noise_rad_s: float = 0.0017
+    gyro_dead_zone_rad_s: float = 0.0
     gyro_bias_rad_s: float = 0.003
     accelerometer_noise_m_s2: float = 0.02
     accelerometer_offset_m_s2: float = 0.05
@@ -223,7 +226,11 @@ class InertialSensors:
             self._state,
         )
         self._row -= 1
-        return Sensed(*outputs)
+        sensed, zone = Sensed(*outputs), self.options.gyro_dead_zone_rad_s
+        if not (zone and mode.fusion):
+            return sensed
+        x, y, z = (rate if abs(rate) >= zone else 0.0 for rate in sensed.rate)
+        return sensed._replace(rate=(x, y, z))
 
     def _start_heading(self, body: BodyMotion, mode: Mode) -> None:
         """Set the heading at the start of the fusion: 0, or the true one in absolute modes.
