@@ -28,6 +28,7 @@ PLACES = {
     "campaign": (1.6, 1),
     "fault_matrix": (3.0, 1),
     "commission": (4.4, 1),
+    "twin": (5.6, 1),
     "live": (0.2, 2),
     "replay": (1.6, 2),
     "procedure": (3.0, 2),

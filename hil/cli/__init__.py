@@ -54,6 +54,7 @@ COMMANDS = {
     "run": "run a procedure on a bench",
     "setup": "write one servo's ID, baud rate and operating mode",
     "tune": "fit the estimator's noise to recordings with ground truth",
+    "twin": "how far recordings of a robot and the emulated robot are apart",
 }
 
 
