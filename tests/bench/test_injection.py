@@ -56,12 +56,28 @@ def test_a_stop_ends_the_faults_before_the_robot_is_judged():
     with bench_with("servos:silent@3") as bench:
         with pytest.raises(SafetyStop, match="stale_servos"):
             bench.drive(line((0, 0, 0), (0.2, 0, 0), duration_s=6.0), feedback="ekf")
-        assert len(bench.rig.get("servos").read()) == 1  # the link is whole again
+        assert Status.TIMEOUT not in bench.rig.get("servos").read()[0].status  # the link is whole again
     assert bench.held.state == "HELD"
     (row,) = bench.injection.report()
     assert (row["at"], row["begun_s"]) == ("link", 3.0)
     assert 3.05 < row["ended_s"] < 3.3
     assert row["messages"] > 0
+
+
+def test_a_stop_ends_the_faults_before_it_stops_the_wheels(monkeypatch):
+    seen = []
+    with bench_with("servos:silent@3") as bench:
+        servos = bench.rig.servos
+        stop = servos.stop
+
+        def read_and_stop():
+            seen.append((bench.world_ns > 3_000_000_000, servos.read()[0].status))
+            stop()
+
+        monkeypatch.setattr(servos, "stop", read_and_stop)
+        with pytest.raises(SafetyStop, match="stale_servos"):
+            bench.drive(line((0, 0, 0), (0.2, 0, 0), duration_s=6.0), feedback="ekf")
+    assert Status.TIMEOUT not in next(status for late, status in seen if late)
 
 
 def test_a_fault_that_has_hit_nothing_is_named_and_one_that_has_is_not():
