@@ -1,5 +1,6 @@
 """A person at the page, in a real browser: starts, is asked, sees PASS; the page dies, and STOP works."""
 
+import contextlib
 import json
 import os
 import signal
@@ -9,11 +10,13 @@ import time
 
 import pytest
 
+from hil.console import jobs
 from hil.console.jobs import signal_process
 from hil.console.json_files import read
 from hil.console.stop_server import IDENTITY, PAGE, STOP
 from tests.chromium import CHROMIUM, Browser
 from tests.console.test_jobs import HELD, job_in, wait_until
+from tests.patience import patient_bench
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
 
@@ -288,3 +291,46 @@ def test_values_of_every_device_are_drawn_and_a_reload_keeps_them(console, tmp_p
         assert browser.complaints == []
     finally:
         browser.close()
+
+
+def test_a_button_moves_the_robot_while_it_is_held(console, tmp_path):
+    """The mouse presses and lets go; a page that loses the focus counts as let go."""
+    bench = patient_bench(
+        tmp_path, "emulated_floor", **dict.fromkeys(("encoders", "imu", "tracker", "mocap"))
+    )
+    with contextlib.closing(Browser(tmp_path / "profile")) as browser:
+        browser.open(console.url)
+        browser.until("document.querySelector('#form #start') !== null", console.frame)
+        assert browser.ask(
+            f"""choose('jog'); document.querySelector("[name='--bench']").value = '{bench.name}';
+            document.querySelector("[name='--body']").checked = true;
+            document.querySelector('#start').click(); true""",
+            console.frame,
+        )
+        browser.until("!at('hold').hidden", console.frame, 240.0)
+        (job,) = jobs.jobs(console.folder / "jobs")
+        place = browser.ask(
+            """(() => { const button = document.querySelector('[data-key=w]');
+            button.scrollIntoView({block: 'center'}); const r = button.getBoundingClientRect();
+            return [r.x + r.width / 2, r.y + r.height / 2]; })()""",
+            console.frame,
+        )
+        frame = browser.ask(
+            """(() => { const r = document.querySelector('iframe').getBoundingClientRect();
+            return [r.x, r.y]; })()"""
+        )
+        place = [place[0] + frame[0], place[1] + frame[1]]
+
+        def speed():
+            return jobs.state(job)["live"]["twist"][0]
+
+        for let_go in ("mouse", "blur"):
+            browser.mouse("Pressed", *place, button="left", clickCount=1)
+            wait_until(lambda: speed() > 0.005)
+            if let_go == "blur":
+                browser.ask("window.dispatchEvent(new Event('blur')); true", console.frame)
+            else:
+                browser.mouse("Released", *place, button="left", clickCount=1)
+            wait_until(lambda: abs(speed()) < 0.001)
+        assert browser.ask("at('trouble').textContent", console.frame) == ""
+        assert not browser.complaints

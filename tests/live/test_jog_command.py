@@ -84,12 +84,18 @@ class Jog:
         return self.process.returncode, json.loads(out), path
 
 
+def fastest(figures):
+    """Rate of the fastest wheel, rad/s; None while a wheel's is not known."""
+    rates = figures["wheel_rad_s"]
+    return None if rates is None or None in rates else max(map(abs, rates))
+
+
 def turns(figures):
-    return figures["wheel_rad_s"] is not None and max(map(abs, figures["wheel_rad_s"])) > 0.1
+    return fastest(figures) is not None and fastest(figures) > 0.1
 
 
 def rests(figures):
-    return figures["wheel_rad_s"] is not None and max(map(abs, figures["wheel_rad_s"])) < 0.01
+    return fastest(figures) is not None and fastest(figures) < 0.01
 
 
 def steered(figures):
@@ -125,6 +131,20 @@ def test_one_joint_moves_while_the_key_is_held(tmp_path, what):
     assert not others.any()
     assert not rates[-1].any()
     assert replayed(path) == "identical"
+
+
+def test_on_a_wall_the_robot_is_held_after_a_wheel_was_moved(tmp_path):
+    """Motion capture sees that it does not slide."""
+    seen = {name: table for name, table in ALONE.items() if name != "mocap"}
+    jog = Jog(tmp_path, patient_bench(tmp_path, "emulated", **seen), "--wheel", "FL", "--speed", "0.01")
+    jog.until(rests)
+    jog.until(turns, b"w")
+    jog.until(rests)
+    os.write(jog.keyboard, b"x")
+    code, summary, _ = jog.end()
+    assert code == 0, jog.lines
+    assert summary["held"]["state"] == "HELD", summary["held"]
+    assert summary["held"]["moved_m"] < 0.01
 
 
 def test_the_body_moves_ahead_and_a_closed_terminal_stops_it(tmp_path):
