@@ -33,6 +33,8 @@ _OF_SERVOS: Mapping[str, tuple[str, ...]] = {
     "wrong": (DEFAULT, "angle_rad=0.01", "angle_rad=-0.1", "angle_rad=1", "share=0.9", "share=0.5"),
     "jump": (DEFAULT, "angle_rad=0.02", "angle_rad=-0.5", "angle_rad=3"),
 }
+_LATE = ("delay_s=0.5", "delay_s=0.03", DEFAULT)
+"""Measurements of a force count until they are a quarter of a second old."""
 _OF_FORCE = (DEFAULT, "factor=0.5", "factor=0.9", "factor=1.1", "factor=2", "factor=4")
 _OF_CAMERA = (DEFAULT, "scale=0.5", "scale=0.97", "scale=-1", "drift_y_m_s=-0.02", "confidence=1")
 _OF_DEVICE: Mapping[str, Mapping[str, tuple[str, ...]]] = {
@@ -57,6 +59,7 @@ _OF_DEVICE: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "mocap": {**_OF_SENSORS, "wrong": (DEFAULT, "offset_m=0.003", "offset_m=-0.1", "offset_m=100")},
     "adhesion": {
         **_OF_SENSORS,
+        "delayed": _LATE,
         "wrong": (*_OF_FORCE, "factor=-1"),
         "jump": (DEFAULT, "speed_rpm=500", "speed_rpm=-5000", "speed_rpm=20000"),
         "adhesion_loss": (DEFAULT, "factor=0.9", "factor=0.6", "factor=0,over_s=2"),
@@ -69,6 +72,7 @@ _OF_DEVICE: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     },
     "load_cells": {
         **_OF_SENSORS,
+        "delayed": _LATE,
         "wrong": (*_OF_FORCE, "factor=-1", "drift_n_s=-3"),
         "jump": (DEFAULT, "force_n=1", "force_n=-10", "force_n=100"),
     },
