@@ -23,7 +23,7 @@ _ROLLING = 0.2
 _WORTH_M = 0.1
 _OWN = 0.3
 _MOST = 0.7
-_WRONG, _RIGHT = float(np.log(2.5)), float(np.log(1.5))
+_WRONG, _RIGHT, _HEADING = float(np.log(2.5)), float(np.log(1.5)), float(np.log(1.15))
 _AGREES, _OFF, _WITHIN_RAD = 0.2, 0.1, 2.2 * np.pi
 _FEWEST = 3
 _SLOWEST_RAD_S = 0.2
@@ -62,8 +62,11 @@ _WAYS = (
     _Unit("theta", "degrees", np.pi / 180.0),
     _Unit("theta", "revolutions", 2.0 * np.pi),
 )
+_OF_ANGLES = 3
+"""Number of units of wheel angles, the first ones."""
 _STEERING = (
     _Unit("delta", "degrees", np.pi / 180.0),
+    _Unit("delta", "gradians", np.pi / 200.0),
     _Unit("delta", "revolutions", 2.0 * np.pi),
     _Unit("delta", "steps of 4096 a turn", 2.0 * np.pi / 4096.0),
 )
@@ -75,23 +78,26 @@ _RATES = (
 )
 _SI = {
     "phi": ("wheel angles (phi) seem", "rad"),
+    "w": ("wheel rates (w), of which the wheel angles were integrated, seem", "rad/s"),
     "x, y": ("positions (x, y) seem", "m"),
     "theta": ("the heading (theta) seems", "rad"),
 }
 
 
-def check_ways(where: str, drive: Drive, nominal: Nominal) -> None:
+def check_ways(where: str, drive: Drive, nominal: Nominal, *, integrated: bool = False) -> None:
     """Refuse a column in another unit: the ways differ by far as they are, and agree once it is converted.
 
     Unconverted, wheels and ground truth differ by 2.5 times or more in seven tenths of the stretches in which
     wheels roll; converted, by less than 1.5 times in as many. A single slide, spin or jump does not decide.
     If converting a column that adds little to the way also makes the ways agree, nothing is refused. An
     example are positions in turns on the spot, where the marker is far from the middle of the robot.
+    A heading is named only if its factor is that of the unit within 15 %, and translations agree as they are.
 
     Args:
         where: the file, for messages.
         drive: the recording before any unwrapping.
         nominal: robot with the wheels.
+        integrated: True where the wheel angles were integrated from wheel rates.
 
     Raises:
         DataError: names column, unit and factor.
@@ -102,30 +108,45 @@ def check_ways(where: str, drive: Drive, nominal: Nominal) -> None:
     if _share(rolled, moved, _WRONG) > 1.0 - _MOST:
         return
     fits = []
-    for unit in _WAYS:
+    same_way = _translations_agree(drive, edges_s, wheels)
+    for unit in (*_RATES, *_WAYS[_OF_ANGLES:]) if integrated else _WAYS:
         way, true = rolled, _moved(drive, edges_s, wheels, *unit.truth)
-        if unit.column == "phi":
+        of_wheels = unit.column in ("phi", "w")
+        if of_wheels:
             way = _rolled(drive, edges_s, wheels, unit.to_si)
         if min(way.sum(), true.sum()) < _WORTH_M or _share(way, true, _RIGHT) < _MOST:
             continue
-        if unit.column != "phi" and _moved(drive, edges_s, wheels, *unit.alone).sum() < _OWN * way.sum():
+        if not of_wheels and _moved(drive, edges_s, wheels, *unit.alone).sum() < _OWN * way.sum():
             return
-        fits.append((float(np.median(_logs(way, true))), unit))
+        off = float(np.median(_logs(way, true)))
+        if unit.column == "theta" and not (same_way and off < _HEADING):
+            continue
+        fits.append((off, unit))
     if not fits:
         return
     unit = min(fits, key=lambda fit: fit[0])[1]
     label, si = _SI[unit.column]
+    near = " or gradians" if unit.name == "degrees" else ""
+    factor = f"{unit.to_si:.6g}" + (f" (gradians: {np.pi / 200.0:.6g})" if near else "")
     other_robot = (
         f"; or, where it is in {si}, name the robot's bench file with --bench: here wheels have a radius of "
         f"{1e3 * nominal.radius_m:.3g} mm ({nominal.source})"
     )
     raise DataError(
         where,
-        f"{label} to be in {unit.name}: wheels rolled {rolled.sum():.3g} m but ground truth moved "
+        f"{label} to be in {unit.name}{near}: wheels rolled {rolled.sum():.3g} m but ground truth moved "
         f"{moved.sum():.3g} m, and both agree once {unit.column} is converted",
         expected=f"{unit.column} in {si}",
-        remedy=f"multiply {unit.column} by {unit.to_si:.6g}{other_robot if unit.column == 'phi' else ''}",
+        remedy=f"multiply {unit.column} by {factor}{other_robot if unit.column in ('phi', 'w') else ''}",
     )
+
+
+def _translations_agree(drive: Drive, edges_s: Array, wheels: WheelGeometry) -> bool:
+    """Whether ways of the middle of the wheels agree, whatever the heading; True where it hardly moves."""
+    unwrapped = replace(drive, angle=np.unwrap(drive.angle, axis=0))
+    middle = np.abs(by_wheels(unwrapped, edges_s, wheels).mean(axis=1))
+    moved = np.abs(by_truth(drive.truth_t_s, drive.pose * (1.0, 1.0, 0.0), edges_s, wheels).mean(axis=1))
+    return min(middle.sum(), moved.sum()) < _WORTH_M or _share(middle, moved, _WRONG) > 1.0 - _MOST
 
 
 def check_steering_unit(where: str, drive: Drive, raw: Array, nominal: Nominal) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.bag_sensors import SensorLog
-from hil.datasets.cleaning import Log, count_gaps, recorded_rates
+from hil.datasets.cleaning import INTEGRATED, Log, count_gaps, recorded_rates
 from hil.datasets.clock_steps import in_words, split
 from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal
@@ -185,7 +185,16 @@ def _build(
     shared = (begin_s, end_s)
     _check_shared(where, unwrapped, shared)
     if not of_twist:
-        _check(where, as_read, unwrapped, shared, (counted, raw, rate), turns.refusal, robot)
+        _check(
+            where,
+            as_read,
+            unwrapped,
+            shared,
+            (counted, raw, rate),
+            turns.refusal,
+            robot,
+            INTEGRATED in repairs,
+        )
     return Recording(
         name=name,
         motion=motion or classify(turns.angle, pose, robot.radius_m),
@@ -255,6 +264,7 @@ def _check(
     measured: tuple[Array, Array, Array],
     refusal: DataError | None,
     robot: Nominal,
+    integrated: bool,
 ) -> None:
     """Raise `DataError` for units and angles that cannot be right.
 
@@ -266,10 +276,11 @@ def _check(
         measured: steering angles of all rows and of those used, both as in the file, and wheel rates.
         refusal: error about the wheel angles; raised unless a unit explains it.
         robot: nominal robot.
+        integrated: True where the wheel angles were integrated from wheel rates.
     """
     counted, raw, rate = measured
     shared, seen = ((t >= between_s[0]) & (t <= between_s[1]) for t in (drive.t_s, drive.truth_t_s))
-    check_ways(where, as_read, robot)
+    check_ways(where, as_read, robot, integrated=integrated)
     if refusal is not None:
         raise refusal
     pose, heading = drive.pose[seen], as_read.pose[seen, 2]

@@ -276,3 +276,43 @@ def test_stamps_in_minutes_are_no_clocks_apart(turn):
     with pytest.raises(DataError, match="begin together") as error:
         build_recording("turn", Log(t_s / 60.0, wheels), Log(truth_t_s / 60.0, pose))
     assert "60" in error.value.remedy
+
+
+def build(run, *, phi=1.0, delta=1.0, theta=1.0):
+    t_s, wheels, truth_t_s, pose = run
+    return build_recording(
+        "run",
+        Log(t_s, wheels * np.repeat([phi, delta], 4)),
+        Log(truth_t_s, pose * (1.0, 1.0, theta)),
+        sources=("run.csv",),
+    )
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ("phi", r"in degrees or gradians.*gradians: 0\.015708"),
+        ("delta", r"in gradians.*multiply delta by 0\.015708"),
+        ("theta", r"in degrees or gradians.*gradians: 0\.015708"),
+    ],
+)
+def test_gradians_are_not_called_degrees(circle, column, said):
+    with pytest.raises(DataError, match=said):
+        build(circle, **{column: 200.0 / np.pi})
+
+
+def test_wheel_angles_times_five_are_not_called_a_heading_in_revolutions(turn):
+    assert build(turn, phi=5.0).motion == "rotation_cw"
+
+
+def test_rates_in_degrees_are_not_called_angles_in_degrees(circle):
+    t_s, wheels, truth_t_s, pose = circle
+    rate = np.gradient(wheels[:, :4], t_s, axis=0) * DEG
+    none = np.full((len(t_s), 4), np.nan)
+    with pytest.raises(DataError, match=r"wheel rates \(w\).* degrees per second.*multiply w by 0\.01745"):
+        build_recording(
+            "run",
+            Log(t_s, np.column_stack([none, wheels[:, 4:8], rate])),
+            Log(truth_t_s, pose),
+            sources=("run.csv",),
+        )
