@@ -40,7 +40,8 @@ and, where neither names the key, a quick `bring_up` are run, and the emulated w
 hil faults --configuration
 ```
 
-* **right**: the robot is refused or stopped and held, or the doctor fails, and the key is named.
+* **right**: the robot is refused or stopped and held, or the doctor fails, and the key is named, alone
+  or among those that no measurement of this bench tells apart.
 * **misnamed**: it is refused or stopped, and the key is not named.
 * **harmless**: no place, heading, odometry or force differs from that of the right file by more than
   {off_mm:g} mm, {off_rad:g} rad, {odometry_mm:g} mm or {share:.0%}.
