@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from hil.bench import Bench, open_bench
 from hil.config.bench import BenchConfig
 from hil.controller.joint_script import SCRIPT, JointScript, Stretch
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.core.signals import CycleRecord, Reference
+from hil.core.signals import CycleRecord, MocapSample, Reference, Status
 from hil.datasets.cleaning import Log
 from hil.datasets.sequence_times import on_period
 from hil.datasets.wheel_log import Recording, build_recording
@@ -102,7 +103,7 @@ def _play(bench: Bench, script: RecordedCommands, log: list[CycleRecord]) -> Non
 
 def _as_recording(recording: Recording, log: list[CycleRecord]) -> Recording:
     wheels = [w for r in log for w in r.measurements.wheels if all(w.valid)]
-    seen = [m for r in log for m in r.measurements.mocap if m.valid]
+    seen = [s for r in log for s in r.inputs.mocap if s.tracking_valid and s.status is Status.OK]
     origin_ns = wheels[0].stamp.t_ns
     values = np.array([[*w.wheel_angle_rad, *w.steering_rad, *w.wheel_rate_rad_s] for w in wheels])
     at_s = np.array([(w.stamp.t_ns - origin_ns) / NS_PER_S for w in wheels])
@@ -111,7 +112,14 @@ def _as_recording(recording: Recording, log: list[CycleRecord]) -> Recording:
     return build_recording(
         f"{recording.name} emulated",
         Log(at_s, values),
-        Log(on_period(seen_s, number), np.array([m.pose for m in seen])),
+        Log(on_period(seen_s, number), np.array([_pose(m) for m in seen])),
         motion=recording.motion,
         nominal=recording.nominal,
     )
+
+
+def _pose(sample: MocapSample) -> list[float]:
+    """Pose of a sample, m, m, rad, whether or not the bench trusts its capture."""
+    w, x, y, z = sample.quaternion_wxyz.tolist()
+    theta = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return [float(sample.position_m[0]), float(sample.position_m[1]), theta]

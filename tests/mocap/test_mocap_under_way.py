@@ -29,7 +29,11 @@ def test_late_stamps_have_their_lateness_and_numbers_give_the_times_back(mocap_b
     true_s = (places[:, 0] - bench.plant.start[0]) / 0.3
     assert np.diff(true_s).min() == pytest.approx(1.0 / RATE_HZ, abs=1e-5)
     behind = stamps - true_s
-    assert np.std(behind) == pytest.approx(0.01, rel=0.15)
+    assert np.all(np.diff(stamps) > 0.0)
+    late_s, draws = np.zeros(20_000), np.random.default_rng(7).exponential(0.01, 20_000)
+    for k in range(1, len(late_s)):
+        late_s[k] = max(draws[k], late_s[k - 1] - 1.0 / RATE_HZ)  # frames leave in their order
+    assert np.std(behind) == pytest.approx(np.std(late_s), rel=0.1)
     regular = on_period(stamps, numbers) - true_s
     assert np.std(regular) < 0.05 * np.std(behind)
 

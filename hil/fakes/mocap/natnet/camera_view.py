@@ -133,7 +133,7 @@ class CaptureVolume:
         name = "distractor" + "2" * (self._body == "distractor")
         self._other = self._body_at(name, self._body_id + 1, _DISTRACTOR, self._draws, 0)
         self._last: SeenBody | None = None
-        self._hidden_until_ns = self._gap_until_ns = 0
+        self._hidden_until_ns = self._gap_until_ns = self._left_ns = 0
 
     @property
     def names(self) -> tuple[tuple[str, int], ...]:
@@ -165,10 +165,14 @@ class CaptureVolume:
         x, y = motion.x_m + late_s * (c * v - s * w), motion.y_m + late_s * (s * v + c * w)
         return x, y, theta + options.moving_angle_noise_rad * turned * moves
 
-    def stamp_late_s(self) -> float:
-        """Draw the time by which a frame is stamped and sent later than it was exposed, s."""
+    def late_ns(self, t_ns: int) -> int:
+        """Draw the time at which a frame exposed at `t_ns` is stamped and sent; never before the last one."""
         mean_s = self._options.stamp_late_s
-        return mean_s * float(self._own.standard_exponential()) if mean_s else 0.0
+        if mean_s:
+            drawn_ns = t_ns + round(1e9 * mean_s * float(self._own.standard_exponential()))
+            self._left_ns = max(self._left_ns + 1, drawn_ns)
+            return self._left_ns
+        return t_ns
 
     def in_gap(self, t_ns: int) -> bool:
         """Return whether this frame is lost before it is sent."""

@@ -169,13 +169,13 @@ class NatNetServer(Scheduled):
         hidden = faults is not None and faults.hidden(t_ns)
         seen = self._volume.see(self._world.plant.body(), t_ns, hidden)
         bodies = seen if faults is None else faults.distort(seen, t_ns)
-        stamp_late_s = self._volume.stamp_late_s()
-        self._last = (self._number, bodies, self._times(t_ns + nanoseconds(stamp_late_s)))
+        stamped_ns = self._volume.late_ns(t_ns)
+        self._last = (self._number, bodies, self._times(stamped_ns))
         jitter = self._rng.standard_exponential()
         if self._volume.in_gap(t_ns) or (faults is not None and faults.silent(t_ns)):
             return
         late_s = options.latency_s + options.transit_s + options.jitter_s * jitter
-        ready_ns = t_ns + nanoseconds(late_s + self._stall_s() + stamp_late_s)
+        ready_ns = stamped_ns + nanoseconds(late_s + self._stall_s())
         self._stream(ready_ns if ready_ns > self._arrived_ns else self._arrived_ns, t_ns)
 
     def receive(self, data: bytes, client: Address, outlet: PacketNetwork, t_ns: int) -> None:

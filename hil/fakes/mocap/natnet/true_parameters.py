@@ -27,8 +27,8 @@ class MocapTruthOptions:
         stalls_per_s, longest_stall_s: arrivals that are held up, with all behind them.
         clock_ppm: error of the server's clock, standard deviation over servers.
         stamp_late_s: mean of an exponential lateness: frames are sent and stamped later than they were
-            exposed, each by another time, as where a program stamps them on arrival. The recordings of 64
-            frames per second are late by 0 to 60 ms; frame numbers give their times.
+            exposed, each by another time but in their order, as where a program stamps them on arrival. The
+            recordings of 64 frames a second are late by 0 to 60 ms; frame numbers give their times.
         exposure_jitter_s: deviation of the exposure from the regular time of its number, one sigma.
         moving_angle_noise_rad: further noise of the heading while the body moves, one sigma; 0.5 mrad in the
             recordings.
