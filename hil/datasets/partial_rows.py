@@ -16,6 +16,8 @@ LONGEST_S = 0.1
 _WHOLE = 0.5
 _TIMES_PERIOD = 2.5
 _USUAL, _SLOWEST_S = 1.5, 0.12
+_RESTING = 0.02
+"""Least share of a column that is empty in a log of changed values only; below it cells were lost."""
 
 
 def hold_unchanged(t_s: Array, table: Array, columns: Sequence[int], repairs: dict[str, int]) -> None:
@@ -51,6 +53,8 @@ def hold_unchanged(t_s: Array, table: Array, columns: Sequence[int], repairs: di
         if not own_steps.all() or not rests.any() or np.median(lasts_s) > _SLOWEST_S:
             continue
         fill = ~known[:, j] & near & np.isfinite(before[:, j])
+        if np.count_nonzero(fill) < _RESTING * len(fill):
+            continue
         values[fill, j] = before[fill, j]
         filled += int(np.count_nonzero(fill))
     table[at] = values

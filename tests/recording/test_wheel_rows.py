@@ -7,10 +7,11 @@ import perfect_robot as perfect
 import pytest
 
 from hil.calibration.evaluation import position_rmse, track
+from hil.calibration.synthetic import hidden_robot, simulate
 from hil.calibration.warnings import warnings_of
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.plain_csv import read_plain
+from hil.datasets.plain_csv import read_plain, write_plain
 from hil.datasets.read import read_recordings
 from hil.datasets.wheel_log import build_recording
 from hil.robot.kinematics import WheelGeometry
@@ -153,3 +154,18 @@ def test_steering_in_messages_of_its_own_may_lie_on_both_sides_of_the_wrap(tmp_p
     (one,) = read_recordings([bag], topics=topics)
     assert len(one.t_s) == len(found.t_s)
     assert position_rmse(track(one, WheelGeometry.nominal())) < 1.2 * NOISE_M
+
+
+def test_poses_lost_at_rest_are_a_gap_and_no_column_of_changed_values_only(tmp_path):
+    run = simulate(hidden_robot(1), "line_x", "line_x_1", np.random.default_rng(1))
+    file = tmp_path / "line_x_1.csv"
+    write_plain(file, run)
+    header, *rows = file.read_text().splitlines()
+    names = header.split(",")
+    for k in range(len(rows) - 40, len(rows) - 20):
+        cells = rows[k].split(",")
+        cells = ["" if name in ("x", "y", "theta") else cell for name, cell in zip(names, cells, strict=True)]
+        rows[k] = ",".join(cells)
+    file.write_text("\n".join([header, *rows]) + "\n")
+    (found,) = read_recordings([file])
+    assert list(found.repairs) == ["ground-truth gaps over 0.1 s, in which nothing is compared"]
