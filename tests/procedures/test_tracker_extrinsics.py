@@ -153,3 +153,13 @@ def test_the_headline_claims_no_improvement_that_is_none(before_mm, after_mm):
     said = headline({**values, "applied.position_rmse": after_mm})
     assert "fell" not in said
     assert said.index(f"{after_mm} mm") < said.index("before") < said.index(f"{before_mm} mm")
+
+
+def test_a_camera_too_noisy_to_show_its_delay_keeps_it_and_its_scale_is_found(tmp_path):
+    noisy = {"position_noise_m": 0.0009, "angle_noise_rad": 0.0015, "scale": 1.25}
+    done = run("tracker_extrinsics", tmp_path, SHORT, seed=0, overrides={"emulation.tracker": noisy})
+    assert done.result.verdict.value == "MARGINAL", done.failed or done.result.error
+    assert 4.0 < done.values["late_uncertainty"] < 12.0
+    fragment = fragment_of(tmp_path)["tracker"]
+    assert fragment["latency_s"] == LATENCY_S
+    assert fragment["scale"] == pytest.approx(1.25, abs=0.01)
