@@ -68,10 +68,10 @@ def read(rate_hz: float = 100.0, seconds: float = 2.0, only: tuple[str, ...] = (
     """Read and command an emulated bench for a while in virtual time."""
     absent: dict[str, object] = {name: None for name in kinds() if only and name not in only}
     with hil.open_bench("emulated_floor", overrides={"loop.rate_hz": rate_hz, **absent}) as bench:
-        actuators, deadline_ns = bench.rig.actuators(), bench.clock.now_ns()
+        actuators, deadline_ns = bench.devices.actuators(), bench.clock.now_ns()
         for cycle in range(round(seconds * rate_hz)):
             bench.clock.sleep_until_ns(deadline_ns)
-            bench.rig.read(cycle)
+            bench.devices.read(cycle)
             actuators.command(ServoSetpoint(np.zeros(4), np.zeros(4)))
             deadline_ns += round(NS_PER_S / rate_hz)
 

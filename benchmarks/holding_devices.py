@@ -78,7 +78,7 @@ def watched(bench: Bench) -> Any:
     """A stopwatch around reading and judging the three devices."""
     watch = Stopwatch()
     for name in DEVICES:
-        device: Any = bench.rig.get(name)
+        device: Any = bench.devices.get(name)
         device.read = watch.around(name, device.read)
     with patch.object(AdhesionWatch, "judge", watch.around("judging", AdhesionWatch.judge)):
         yield watch

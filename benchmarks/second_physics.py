@@ -31,11 +31,11 @@ PLANTS = {
 
 def turn_s(bench: Bench, first: int) -> float:
     """Processor time of some cycles: read everything, command the wheels."""
-    actuators, clock = bench.rig.actuators(), bench.clock
+    actuators, clock = bench.devices.actuators(), bench.clock
     deadline_ns, begin_s = clock.now_ns(), time.process_time()
     for cycle in range(first, first + CYCLES):
         clock.sleep_until_ns(deadline_ns)
-        bench.rig.read(cycle)
+        bench.devices.read(cycle)
         steer_rad = np.full(4, 0.1 * math.sin(0.005 * cycle))
         actuators.command(ServoSetpoint(np.full(4, 2.0 * math.sin(0.002 * cycle)), steer_rad))
         deadline_ns += PERIOD_NS
@@ -56,7 +56,7 @@ def main() -> int:
             for name, overrides in PLANTS.items()
         }
         for bench in benches.values():
-            bench.rig.actuators().enable()
+            bench.devices.actuators().enable()
         for number in range(given.turns):
             for name, bench in benches.items():
                 spent[name].append(turn_s(bench, number * CYCLES))

@@ -35,7 +35,7 @@ def run(bench_name: str, seed: int, seconds: float) -> tuple[list[Inputs], float
     """One run: everything that was read, processor time and wall time in seconds."""
     log: list[Inputs] = []
     with hil.open_bench(bench_name, seed=seed) as bench:
-        rig, clock = bench.rig, bench.clock
+        rig, clock = bench.devices, bench.clock
         actuators = rig.actuators()
         actuators.enable()
         began_s, began_cpu_s = time.perf_counter(), time.process_time()

@@ -1,7 +1,5 @@
 """Hardware-in-the-loop bench for a wall-climbing robot with four steered and driven wheels (4WIS4WID)."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:

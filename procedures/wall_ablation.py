@@ -5,8 +5,6 @@ seed. Limits apply to the last setting: what a lab may expect of a commissioned 
 the bench's checks may stop the robot; its line ends there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Class `Bench`: opens and closes all devices together, and runs motions in the control loop."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -65,7 +63,7 @@ class Bench(HeldDevices):
         model: everything derived from the configuration alone, without devices and clock.
         config, geometry, seed, calibration: parts of the model.
         clock: virtual or monotonic.
-        rig: the devices.
+        devices: the devices.
         world: the emulated world if it runs in this process, else None.
         statistics: punctuality of the latest run.
         real_time: requested real-time scheduling; None in virtual time.
@@ -95,14 +93,14 @@ class Bench(HeldDevices):
         self,
         model: BenchModel,
         clock: Clock,
-        rig: DeviceSet,
+        devices: DeviceSet,
         *,
         world: World | None = None,
         sinks: tuple[Sink, ...] = (),
         faults: tuple[Fault, ...] = (),
         injection: Injection | None = None,
     ) -> None:
-        super().__init__(model, clock, rig, sinks=sinks, faults=faults, injection=injection)
+        super().__init__(model, clock, devices, sinks=sinks, faults=faults, injection=injection)
         self.world = world
         self.own_controller: MakeController | None = None
         self.undivided: Callable[[], AbstractContextManager[None]] = nullcontext
@@ -233,7 +231,7 @@ class Bench(HeldDevices):
             trajectory, controller=controller, feedback=feedback, observers=observers
         )
         warm_up(pipeline, stands or self.start_state())
-        self.rig.actuators().enable()
+        self.devices.actuators().enable()
         if stands is None:
             stands = self._where_it_stands()
             must_begin_where_it_stands(trajectory, stands.pose_body_in_wall)
@@ -295,7 +293,7 @@ class Bench(HeldDevices):
 
     def new_log(self) -> CycleLog:
         """An empty log for the cycles of one run of this bench."""
-        return CycleLog(tuple(kinds()[name] for name in self.rig.sensors if name not in KINDS))
+        return CycleLog(tuple(kinds()[name] for name in self.devices.sensors if name not in KINDS))
 
     def run(self, pipeline: ControlPipeline, start: RunStart, until: Until, *, drop_old: bool = True) -> None:
         """Run a pipeline from a known state until `until(record)` is true; the robot is stopped at the end.
@@ -330,7 +328,7 @@ class Bench(HeldDevices):
             if self.real_time is not None:
                 stack.enter_context(self.real_time)
             if drop_old:
-                self._hold.passed_over(self.rig.read(0))
+                self._hold.passed_over(self.devices.read(0))
             loop = self.make_loop(pipeline, start)
             if self.real_time is not None:
                 loop.idle = self.real_time.idle
@@ -418,7 +416,7 @@ class Bench(HeldDevices):
         self._note(begun.state.t_ns, RUN_NOTE, begun.note())
         config = self.config.loop
         loop = ControlLoop(
-            self.rig,
+            self.devices,
             self.clock,
             pipeline,
             rate_hz=config.rate_hz,

@@ -1,7 +1,5 @@
 """Faults that only a hand can do: the operator switches the power of a real device, times are kept."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Protocol

@@ -4,8 +4,6 @@ The odometry uses the wheels only. The filter's state contains the camera's pose
 twice in the camera.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -41,12 +39,12 @@ class WheelFeed(Sink):
         """Do nothing: the camera continues without wheel odometry."""
 
 
-def wheel_feed(model: BenchModel, rig: DeviceSet) -> tuple[Sink, ...]:
+def wheel_feed(model: BenchModel, devices: DeviceSet) -> tuple[Sink, ...]:
     """The sink that sends wheel odometry to the camera, if `tracker.wheel_odometry` asks for it."""
     camera = model.config.of(T265Config)
     if camera is None or not camera.wheel_odometry:
         return ()
-    return (WheelFeed(model.make_estimator("odometry", diagnostics=False), rig.get("tracker")),)
+    return (WheelFeed(model.make_estimator("odometry", diagnostics=False), devices.get("tracker")),)
 
 
 def with_wheel_sigma(config: BenchConfig) -> BenchConfig:

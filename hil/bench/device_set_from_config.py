@@ -1,7 +1,5 @@
 """Makes the drivers of a checked configuration, each with the address of its device."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType

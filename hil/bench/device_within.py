@@ -1,7 +1,5 @@
 """A driver that runs within a context: its errors name the device, or what it opens has faults."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager

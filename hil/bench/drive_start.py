@@ -1,7 +1,5 @@
 """Checks before a drive: the trajectory begins where the robot stands, and blind sensors are named."""
 
-from __future__ import annotations
-
 import math
 
 from hil.bench.loop_settings import pretended_holders

@@ -1,7 +1,5 @@
 """Builds the emulated devices of a configuration in one world, in this process or as servers."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Runs `hil emulate` as a child process: start it, read its endpoints, end it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import logging

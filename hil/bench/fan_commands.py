@@ -1,7 +1,5 @@
 """Switches a bench's fan and propellers outside any run, for `hil adhesion`."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

@@ -1,7 +1,5 @@
 """Refuses to lower the fan's force while the robot may hang by it, by IMU and load cells."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from typing import Any
@@ -106,10 +104,10 @@ def seen_off_the_wall(config: BenchConfig) -> str:
         UsageError: a sensor shows that it may hang, or no sensor can measure it.
     """
     table = fan_of(config)
-    rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()
+    devices, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()
     seen: dict[str, list[Any]] = {}
     for name in ("imu", "load_cells", DEVICE):
-        device = rig.get(name)
+        device = devices.get(name)
         if device is None or config.devices()[name].backend == "emulated":
             raise UsageError(
                 f"{config.name}: no {name} of the robot to see whether it is off the wall",

@@ -1,7 +1,5 @@
 """Checks a fan that `hil adhesion on` starts: its reports against each other, and against the load cells."""
 
-from __future__ import annotations
-
 import contextlib
 from typing import Any
 

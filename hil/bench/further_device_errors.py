@@ -1,7 +1,5 @@
 """Puts the name of a further device into the errors and logs of its driver."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 

@@ -1,7 +1,5 @@
 """Limits of a robot on a wall whose sensors have injected faults: what sees a slide, how far it goes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

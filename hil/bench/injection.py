@@ -1,7 +1,5 @@
 """Faults in front of the real devices of a bench: which are injected, when, and what they have hit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 

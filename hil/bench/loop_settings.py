@@ -1,7 +1,5 @@
 """Turns a configuration into the settings of the loop: limits, mounts, geometry, scheduling."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import fields

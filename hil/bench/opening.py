@@ -4,8 +4,6 @@ Three modes share the code: all devices emulated in virtual time (the default wh
 emulated devices served in real time by a separate process, and any mix with real devices.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from numbers import Integral
@@ -106,8 +104,8 @@ def _put_together(
     world = build_world(config, seed=model.seed, faults=plan)
     connected = connect_in_process(config, world)
     virtual = VirtualClock(world)
-    rig = make_device_set(config, virtual, connected.connections, world.failures)
-    bench = Bench(model, virtual, rig, world=world, sinks=sinks, faults=plan)
+    devices = make_device_set(config, virtual, connected.connections, world.failures)
+    bench = Bench(model, virtual, devices, world=world, sinks=sinks, faults=plan)
     bench.on_close(connected.close)
     return bench
 
@@ -158,8 +156,8 @@ def _real(
     """A bench in real time, with the faults of its real devices in front of their drivers."""
     clock, config = MonotonicClock(), model.config
     injection = Injection(config, clock, at_links(config, plan), model.seed, hand)
-    rig = make_device_set(config, clock, connections, lost=lost, in_front=injection.in_front_of)
-    return Bench(model, clock, rig, sinks=sinks, faults=plan, injection=injection)
+    devices = make_device_set(config, clock, connections, lost=lost, in_front=injection.in_front_of)
+    return Bench(model, clock, devices, sinks=sinks, faults=plan, injection=injection)
 
 
 def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> dict[str, Connection]:

@@ -7,8 +7,6 @@ in both.
 Only a program that watches a resting robot, such as `hil live`, waits longer.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Events that a bench has seen: those of its cycles, and its own warnings, for results and reports."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

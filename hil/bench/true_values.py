@@ -5,8 +5,6 @@ the true value of any key of `[TABLE]`, for `robot`, `environment` and every dev
 true as the bench file has it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any

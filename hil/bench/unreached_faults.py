@@ -4,8 +4,6 @@ A closing bench stops the robot and looks at it. A fault that begins during this
 robot fall, but no step of the test or run was exposed to it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from hil.core.clock import NS_PER_S

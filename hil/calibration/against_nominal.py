@@ -1,7 +1,5 @@
 """Compares a calibration with doing nothing: nominal odometry, on recordings that the fit has not seen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

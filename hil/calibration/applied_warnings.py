@@ -4,8 +4,6 @@ Errors on recordings used in the fit do not show the errors on others. The param
 model and one wheel signal; with another model or signal the same recordings give other parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """`hil calibrate` as a function: fit, validate, analyse identifiability, and collect all in one result."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

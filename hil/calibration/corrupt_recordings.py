@@ -7,8 +7,6 @@ recording is left out for it. Only a jump of the ground truth, or one that was c
 corrupt however many recordings have one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cross-validates a calibration: leaves one repetition or one motion out, and predicts it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

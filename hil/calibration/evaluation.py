@@ -10,8 +10,6 @@ Errors e_m and e_a are the paper's (arXiv 2509.04016): e_m is the largest absolu
 e_a the mean over the repetitions of each one's largest absolute error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ from a Levenberg-Marquardt pre-fit that all methods share. Stochastic methods se
 problem; Levenberg-Marquardt then follows the chain from their result.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

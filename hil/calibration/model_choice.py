@@ -20,8 +20,6 @@ the simplest of those that are about as probable is taken. How often the choice 
 with a known law: `benchmarks/model_choice.py`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

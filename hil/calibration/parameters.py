@@ -5,8 +5,6 @@ robot driven with them goes somewhere else. The limits include any workshop's to
 the bounds of the fit permit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

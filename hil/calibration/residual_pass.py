@@ -4,8 +4,6 @@ The arithmetic is that of `hil.calibration.motion_models` and `hil.robot.odometr
 arrays. Here it runs on numbers, without arrays between wheels and residuals.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, NamedTuple
 

@@ -9,8 +9,6 @@ errors measured on the real robot (arXiv 2509.04016): 12-bit counts, a velocity 
 truncates half a unit, steering dither, capture noise, stamp jitter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Checks that a bench may use a calibration: it is for this robot and did not fail its validation run."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.calibration.calibration_file import CalibrationFile, MadeFor

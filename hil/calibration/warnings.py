@@ -1,7 +1,5 @@
 """Composes the sentences under `warnings` of a calibration's result."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The cases of a campaign: every combination of the varied settings, each with every seed."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import re

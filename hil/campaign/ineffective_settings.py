@@ -1,7 +1,5 @@
 """Finds varied values that made no difference: a setting without effect has not been tested."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Input files of a campaign's runs: packed for workers elsewhere, identified by content."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

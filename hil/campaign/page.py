@@ -1,7 +1,5 @@
 """The HTML page of a campaign: shares of good runs, a figure per measurement, every case."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@
 There is one row per measurement, so that the columns are the same for every procedure.
 """
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Resuming needs the same plan, files and versions.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

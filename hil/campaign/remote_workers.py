@@ -5,8 +5,6 @@ An unusable worker is logged and leaves the cluster. The files are removed when 
 Needs the extra `campaign`; imported only when a scheduler is used.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import shutil

@@ -1,7 +1,5 @@
 """Runs one case of a campaign, here or on a worker, and makes its row of the table."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import logging

@@ -1,7 +1,5 @@
 """The results of a campaign: one row per case, statistics per combination of settings, CSV."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """Packs files for transfer between a campaign and its workers: input files of the runs, and their results."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile

@@ -3,8 +3,6 @@
 Each sub-command is a module, imported only when it is called, so that `hil --help` is quick.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import json

@@ -1,7 +1,5 @@
 """`hil accept`: acceptance test of a bench, from doctor to turning wheels, with a page to sign."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -9,8 +9,6 @@ last line or after it. If the output fails for another reason (a full disk), the
 Also makes the `--json` object of a command that ends in an error.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os

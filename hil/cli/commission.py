@@ -1,7 +1,5 @@
 """`hil commission`: from a robot as delivered to a verified run on its wall."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

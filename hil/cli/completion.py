@@ -3,8 +3,6 @@
 Messages would disturb the line that is being typed: an error during the search yields no words.
 """
 
-from __future__ import annotations
-
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 

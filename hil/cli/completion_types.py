@@ -3,8 +3,6 @@
 Their values are plain texts; each is checked where it is used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Device packages of others are not of this project: where one is installed the re
 imports all.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Without `--plant` recordings come from formulas (seconds). With it an emulated b
 physics named: the same servos and cameras, wires and faults as in any other run (minutes).
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

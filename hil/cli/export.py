@@ -1,7 +1,5 @@
 """`hil export`: a recording as CSV or Parquet."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

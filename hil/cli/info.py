@@ -1,7 +1,5 @@
 """`hil info`: versions and devices for a bug report; compiles the numerical kernels on request."""
 
-from __future__ import annotations
-
 import json
 import logging
 import platform

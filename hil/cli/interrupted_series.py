@@ -1,7 +1,5 @@
 """Ctrl-C, SIGTERM and SIGHUP during a series of runs: finished runs are kept and shown."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """`hil list`: the names that the command line and a bench file accept."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby

@@ -4,8 +4,6 @@ The figures are those of the console (`hil.monitor.status_lines`). A thread writ
 that stands still (Ctrl-S) does not hold up the loop; figures that it cannot take are left out.
 """
 
-from __future__ import annotations
-
 import os
 import textwrap
 import threading

@@ -1,7 +1,5 @@
 """Parts of several commands: options checked before anything is opened, and groups that suggest a name."""
 
-from __future__ import annotations
-
 import functools
 import math
 import shlex

@@ -1,7 +1,5 @@
 """`hil report`: the HTML page of a run, or a comparison of several runs or of two campaigns."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`hil setup`: write one servo's EEPROM: ID, baud rate, operating mode, return delay."""
 
-from __future__ import annotations
-
 import json
 
 import click

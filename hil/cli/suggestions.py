@@ -1,7 +1,5 @@
 """Adds suggestions and an example to click's own messages about a mistyped command line."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`hil faults --configuration`: one wrong number in the bench file after another, judged by what is true."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

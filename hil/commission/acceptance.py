@@ -5,8 +5,6 @@ robot is on a stand, the contract of the servos with turning wheels, and their d
 devices go through the same stages. The findings are kept even when the acceptance ends early.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Iterator

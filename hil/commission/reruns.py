@@ -4,8 +4,6 @@ A resumed commissioning repeats a procedure if one of its dependencies has chang
 between a failure and the next attempt, and restore older versions of the record.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ A procedure that passes adds its part to the record. The first procedure that do
 commissioning with a remedy. The same code runs in virtual time, at wire level and on the real robot.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

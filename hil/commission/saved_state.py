@@ -1,7 +1,5 @@
 """Saves the state of a commissioning after every procedure, as a whole file, so that it can be resumed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path

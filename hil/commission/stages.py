@@ -4,8 +4,6 @@ Each procedure builds on the earlier ones: signs before zeros, zeros before whee
 floor comes first, because circles are possible there and the robot does not creep.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal

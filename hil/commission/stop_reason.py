@@ -1,7 +1,5 @@
 """Describes where and why a commissioning stopped, and the remedy: failed procedure, operator, full disk."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Configuration of the fan that presses the robot on its wall (`[adhesion]` of the bench file)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Sections of `bench.toml` that belong to no device: loop, safety, alignment, emulation, record, exit."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator

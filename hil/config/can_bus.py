@@ -1,7 +1,5 @@
 """Devices on CAN buses: bus and identifiers of each, and conflicts between devices."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Configuration of a motor controller on CAN that stops its motor when commands stop."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from hil.config.can_bus import CanConfig

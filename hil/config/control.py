@@ -1,7 +1,5 @@
 """Control: which law, its gains, the module layer's thresholds, and the limits of motion."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from hil.config.field_types import HeadingLimit, Strict, Switch, WheelRate, Within

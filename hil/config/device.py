@@ -1,7 +1,5 @@
 """The keys that every table of a device in the bench file has."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal
 
 from hil.config.field_types import Delay, Strict, UnitQuaternion, Within

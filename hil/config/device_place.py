@@ -1,7 +1,5 @@
 """Where a device is connected, by its table of the bench file."""
 
-from __future__ import annotations
-
 from pydantic import BaseModel
 
 _PLACES = ("port", "channel", "server", "address", "serial")

@@ -1,7 +1,5 @@
 """Configuration of a fan whose controller speaks DroneCAN (`[adhesion]`, `model = "dronecan"`)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 

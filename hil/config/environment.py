@@ -1,7 +1,5 @@
 """The surface under the robot, its tilt, and the robot's start pose on it (`[environment]`)."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """The strict base of all tables of the bench file, bounds of numbers, and types of values."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Configuration of the cells that measure the fan's force (`[load_cells]` of the bench file)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal

@@ -3,8 +3,6 @@
 Strict: unknown keys are errors, and every problem is reported at once with its dotted path.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Iterable, Mapping, Sequence

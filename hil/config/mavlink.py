@@ -1,7 +1,5 @@
 """Configuration of a tracker that sends its poses by MAVLink (`[tracker]` with `model = "mavlink"`)."""
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, ClassVar, Literal, NamedTuple
 

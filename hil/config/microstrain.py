@@ -1,7 +1,5 @@
 """Configuration of a MicroStrain sensor on its serial port (`[imu]` with `model = "microstrain"`)."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator

@@ -1,7 +1,5 @@
 """Configuration of the OptiTrack motion capture over NatNet (`[mocap]` of the bench file)."""
 
-from __future__ import annotations
-
 import ipaddress
 from typing import Annotated, ClassVar, Literal
 

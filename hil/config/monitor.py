@@ -1,7 +1,5 @@
 """Looks of the robot in the monitor (`[monitor]` of the bench file)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

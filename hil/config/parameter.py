@@ -6,8 +6,6 @@ the bench measures anyway; a parameter without one on a bench is unconfirmed, an
 into the file.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

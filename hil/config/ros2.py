@@ -1,7 +1,5 @@
 """Network of the bench on ROS 2, and its waits for a controller there (`[ros2]` of the bench file)."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Annotated

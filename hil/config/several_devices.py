@@ -4,8 +4,6 @@ Each becomes a table of its own, `rangefinder_front`: that is its name on the be
 brings one has the kind's name: it is the bench's own, which its estimator and checks use.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 

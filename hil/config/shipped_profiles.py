@@ -1,7 +1,5 @@
 """The shipped bench profiles: their names, texts and summaries, without the models that check them."""
 
-from __future__ import annotations
-
 from itertools import takewhile
 from pathlib import Path
 

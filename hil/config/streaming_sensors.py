@@ -1,7 +1,5 @@
 """Tables of sensors that send unasked: on a serial port, or on a CAN bus."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 from pydantic import Field

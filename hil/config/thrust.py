@@ -1,7 +1,5 @@
 """Configuration of the propellers that carry part of the weight (`[thrust]` of the bench file)."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, ClassVar, Literal
 

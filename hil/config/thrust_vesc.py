@@ -1,7 +1,5 @@
 """Configuration of propellers on VESC motor controllers (`[thrust]`, `model = "vesc"`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal

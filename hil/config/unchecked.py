@@ -1,7 +1,5 @@
 """Reads recorded configurations as they were, also values that would be refused today."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 

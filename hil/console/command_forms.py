@@ -1,7 +1,5 @@
 """Commands of `hil` as forms of the page, and the command line that a filled form makes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal

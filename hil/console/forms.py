@@ -1,7 +1,5 @@
 """Commands and procedures as forms of the console: fields from click's options and from typed parameters."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace

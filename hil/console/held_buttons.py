@@ -4,8 +4,6 @@ The page repeats a held button, as a terminal repeats a key. When nothing comes 
 was let go, or the page, the browser or the connection is gone, `hil jog` takes the key for let go.
 """
 
-from __future__ import annotations
-
 from hil.console.jobs import STOPPED, Job, put
 
 KEYS = ("w", "s", "a", "d", "q", "e")

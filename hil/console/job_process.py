@@ -4,8 +4,6 @@ The process is recorded before it touches a device, so that the stop server can 
 started it is gone.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -5,8 +5,6 @@ step. Both end in wheels at rest, steering held and torque on. SIGKILL is never 
 of its servos would stop the robot.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import time

@@ -15,8 +15,6 @@ A process is signalled only if it is the one that wrote process.json: another pr
 then is not.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

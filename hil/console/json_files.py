@@ -1,7 +1,5 @@
 """JSON objects that processes of the console leave for each other as files; standard library alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -8,8 +8,6 @@ An alarm says which bench, when, and whether the robot is real. That of an emula
 two ways, although its world ended with the run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path

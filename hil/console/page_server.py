@@ -4,8 +4,6 @@ Everything that moves is an ordinary command in a process of its own (`hil.conso
 be killed or started again at any time, and may receive any request.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property

@@ -1,7 +1,5 @@
 """What a job has told of its loop so far, for a page that is opened later; standard library alone."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any

@@ -8,8 +8,6 @@ It ends with the console; when the console was killed, ten minutes after the las
 `hil console --stop`.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -5,8 +5,6 @@ once in the address that is printed and from then on as a cookie. The name of th
 name of another site leads here, and whatever changes something must come from a page of this console.
 """
 
-from __future__ import annotations
-
 import hmac
 import json
 from collections.abc import Callable, Mapping

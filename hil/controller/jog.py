@@ -4,8 +4,6 @@ The set-points depend only on the commands of the cycles, so that replay repeats
 command means rest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

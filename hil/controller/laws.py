@@ -4,8 +4,6 @@ Pose error in the measured body frame: e = (R(th)' (p_d - p), wrap(th_d - th)); 
 the reference's body frame.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import lru_cache

@@ -3,8 +3,6 @@
 Between `steer` and `drive` numpy computes the sines and cosines: compiled code may differ in the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ and arrive together; 8. slow all wheels alike while their angles, on the way to 
 contradict each other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.controller import module_arithmetic as at

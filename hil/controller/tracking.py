@@ -1,7 +1,5 @@
 """Controller of the loop: control law, module layer, goal tolerance, and a stop at values not finite."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

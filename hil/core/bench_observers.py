@@ -4,8 +4,6 @@ The pytest plugin uses this to report and record a bench that a test opens by it
 would move hardware which the command line does not name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any

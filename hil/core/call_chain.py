@@ -4,8 +4,6 @@ Frames of this package, of Python and of installed libraries are left out: their
 user's code. Frames of an installed package that adds a device are kept: the user may have written it.
 """
 
-from __future__ import annotations
-
 import os
 import sysconfig
 import traceback

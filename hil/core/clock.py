@@ -7,8 +7,6 @@ for calls that do not return, the doctor's check for slow reads, and the date ch
 `pyproject.toml` lists these modules; ruff refuses `time` in all others.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import threading

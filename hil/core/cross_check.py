@@ -4,8 +4,6 @@ A parameter is confirmed or contradicted by a measurement that would look differ
 unconfirmed: nothing measures it now.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NamedTuple

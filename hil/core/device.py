@@ -5,8 +5,6 @@ plotted. A model (`bno055`) is a product of that kind: its table in the bench fi
 emulated device. `model = "..."` in the bench file selects the model. Both classes hold no state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module

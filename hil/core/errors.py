@@ -6,8 +6,6 @@ says what was found, what was expected and what to do. The command line turns it
 stderr and `exit_code`; it never shows a traceback for one of these.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import os

@@ -1,7 +1,5 @@
 """Commands of a controller in another program during one cycle, as received; replay uses them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from hil.core.geometry import Array

@@ -5,8 +5,6 @@ table, samples, faults, topics, columns and plots. The kind's methods are called
 samples of the further device are stored under the kind's name.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from copy import copy

@@ -4,8 +4,6 @@ Conventions: SI units, angles in radians, quaternions `(w, x, y, z)`, a pose is 
 of the body in some frame, a twist is `(v_x_m_s, v_y_m_s, omega_rad_s)` in the body frame.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import TypeAlias

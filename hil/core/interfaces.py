@@ -5,8 +5,6 @@ arguments. `stop()` on a wall means: wheels at rest, steering held, torque **on*
 drops torque.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Protocol, TypeVar, runtime_checkable

@@ -1,7 +1,5 @@
 """Interpolates samples to other instants; NaN across gaps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of device kinds, guarded: a package whose `figures` fails is named once, and then left out."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext

@@ -3,8 +3,6 @@
 They are separate from the code that they name, so that `--help` loads no numerical libraries.
 """
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 KINDS = ("servos", "encoders", "imu", "tracker", "mocap", "adhesion", "thrust", "load_cells")

@@ -6,8 +6,6 @@ it; a kernel then writes `m.tally.nis = 1.0`, which compiled is as quick as an i
 is a numpy scalar, a view into its block.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from operator import itemgetter
 from typing import Annotated, Any, get_args, get_type_hints

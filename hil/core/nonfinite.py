@@ -1,7 +1,5 @@
 """Finds fields of a sample that are not finite although its status is good."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass

@@ -1,7 +1,5 @@
 """Names the right command when a path of the wrong kind is given."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from contextlib import suppress

@@ -5,8 +5,6 @@ its `DeviceKind` as `KIND` in `kind.py`. An installed package adds kinds, or mod
 of the group `hil.devices`, each of which names a subclass of `DeviceKind` or of `DeviceModel`.
 """
 
-from __future__ import annotations
-
 import importlib
 import keyword
 import re

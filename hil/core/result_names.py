@@ -3,8 +3,6 @@
 All code that writes, reads, shows or deletes such a folder takes them from here.
 """
 
-from __future__ import annotations
-
 RESULT, JOURNAL, REPORT, JUNIT = "result.json", "journal.jsonl", "report.html", "junit.xml"
 """Files of a run."""
 RESULT_SCHEMA = 1

@@ -1,7 +1,5 @@
 """Digits needed to print a value differently from each of its limits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 _EXACT = 17

@@ -8,8 +8,6 @@ Frames: `body` has x forward, y left, z out of the surface; `wall` has X up the 
 Z out of the wall (arXiv 2509.04016). On the floor the same names hold with Z up.
 """
 
-from __future__ import annotations
-
 import enum
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The kinds of devices that may be the cause of a stop, by its reason."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 SEPARATOR = ", "

@@ -3,8 +3,6 @@
 Exceptions from code of this project stay unchanged: they are defects, and need their traceback.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar

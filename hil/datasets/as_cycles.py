@@ -4,8 +4,6 @@ Nothing is estimated or commanded in such a run. It serves to be replayed throug
 compared like a run of the bench. It begins where odometry begins in `hil evaluate`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

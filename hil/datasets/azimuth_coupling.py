@@ -4,8 +4,6 @@ While the body rests by ground truth and the modules steer, no wheel goes anywhe
 turn of delta, is the coupling. In a drive it looks like wheels that roll, and a fit bends the steering zeros.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Checks, before a bag is read, that a file of it is complete and of the right kind, and lists its topics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import BinaryIO
 

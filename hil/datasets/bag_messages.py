@@ -5,8 +5,6 @@ no message of a topic whose quality of service is another one in `metadata.yaml`
 summary of an MCAP file does not repeat. it decodes the messages, each type by the definition in its file.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager

@@ -8,8 +8,6 @@ A quaternion that is no rotation (for example 0 0 0 0 from a system that tracks 
 A covariance of -1 marks a value as unknown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

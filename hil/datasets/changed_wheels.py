@@ -6,8 +6,6 @@ robot are the same in all repetitions of a motion; a wheel that differs there wa
 misread.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Repairs the rows of a log: drops rows without numbers, makes stamps increase, counts each repair."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import SupportsInt
 

@@ -4,8 +4,6 @@ Rows in the wrong order are sorted; they fill times at which no other row is. Ro
 between rows that exist already: sorting them would mix two times.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

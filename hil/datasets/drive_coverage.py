@@ -5,8 +5,6 @@ the drive out of all errors, and makes the error at the end meaningless. A rest 
 does not matter.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

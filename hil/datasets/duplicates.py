@@ -1,7 +1,5 @@
 """Recognises copies of a recording, under other file names and in other formats."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ like any other. Ground truth is interpolated to the wheels' instants between sam
 a value.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

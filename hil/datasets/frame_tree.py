@@ -1,7 +1,5 @@
 """Frame tree of a bag: its problems, in words."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path

@@ -5,8 +5,6 @@ the first row of each step. Repeats are taken out for one period before the next
 interpolated there; a wheel that stands for longer keeps its rows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.geometry import Array, Bools

@@ -1,7 +1,5 @@
 """Recordings of other robots, read by a `--topics` file: bags by their topics, CSV by its columns."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The nominal robot: geometry that recordings are read with and that a fit starts from."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -3,8 +3,6 @@
 File readers try this first. A table with anything else they read line by line, to name the error.
 """
 
-from __future__ import annotations
-
 import warnings
 from contextlib import suppress
 

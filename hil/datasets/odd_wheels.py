@@ -4,8 +4,6 @@ Each wheel is compared with the ground truth at its own place, in stretches of h
 only if the wheel agrees once it is undone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

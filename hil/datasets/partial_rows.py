@@ -1,7 +1,5 @@
 """Completes rows that lack some of their columns: signals in rows of their own, or changed values only."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Names of columns may be in quotes. Ground truth may be empty or NaN in any row, 
 there is ground truth. The motion is the file name without the repetition number `_K`.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

@@ -5,8 +5,6 @@ Format as in `dataset/` of the authors' repository (GitHub, JakVit/4WIS4WID_para
 A file that cannot be parsed as one table is parsed row by row, which drops and counts broken rows.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Reads the paths of a command line as recordings, choosing the reader by the kind of file."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Names of recordings: the motion in the name, and a prefix where two names are equal."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter

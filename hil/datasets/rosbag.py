@@ -4,8 +4,6 @@ See `hil.datasets.topic_map` for the mapping. Stamps are those of the message he
 topic, the log times are used instead.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 from collections.abc import Collection, Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ The two logs of a drive have different stamps and gaps. Wheels are integrated ov
 never in one step across a gap of the ground truth. Ground truth is known only where it has rows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.errors import DataError, UsageError

@@ -6,8 +6,6 @@ are compared, each in the robot's own frame, where neither drift nor a start hea
 judged by a motion only where there is enough of it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

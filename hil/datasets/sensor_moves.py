@@ -3,8 +3,6 @@
 Each is in the robot's own frame at the begin of the stride, where neither drift nor a start heading counts.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

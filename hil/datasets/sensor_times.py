@@ -4,8 +4,6 @@ Turns, and for the camera ways too, over a fifth of a second are correlated at s
 A drive without changes of speed does not determine it, and says nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -5,8 +5,6 @@ of milliseconds late, each by another delay. Sequence numbers times the period g
 sampled, up to an offset that changes slowly with its clock.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.geometry import Array

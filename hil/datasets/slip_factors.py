@@ -5,8 +5,6 @@ say. Each is a least-squares slope over moves of one second; its uncertainty is 
 left, so slip that changes during the drive widens it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

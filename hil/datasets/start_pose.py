@@ -6,8 +6,6 @@ of the way is transformed back to the first instant by odometry. A straight line
 errors that grow with it, as from wrong radii.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import cast
 

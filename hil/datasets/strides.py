@@ -3,8 +3,6 @@
 In the robot's own frame, from second to second, neither drift nor a jump decides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

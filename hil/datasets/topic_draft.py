@@ -4,8 +4,6 @@ What cannot be guessed stands in a comment: only the user knows the robot. Types
 the names of topics, joints and frames.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Mapping

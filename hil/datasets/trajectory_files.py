@@ -3,8 +3,6 @@
 TUM has a row `timestamp tx ty tz qx qy qz qw` for each pose, KITTI a 3 x 4 matrix by rows, without stamps.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ What `hil.datasets.truth_fit` measures in a recording is compared over the set. 
 common is corrected and said. A recording whose body differs from that of the others contradicts them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@
 has alone, is named as what it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Both have one clock, or `offset_s` shifts the ground truth, or the shift is fitt
 wheels by their angles and by the ground truth are most alike.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path

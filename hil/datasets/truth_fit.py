@@ -6,8 +6,6 @@ Starts, stops and turns tell these apart from each other and from wrong radii, w
 delay that the fit starts from is the maximum of the cross-correlation of both speeds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 

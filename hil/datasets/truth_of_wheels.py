@@ -6,8 +6,6 @@ together, where either is far better than usual. A path that was integrated from
 leaves what its file rounds.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.geometry import Array

@@ -1,7 +1,5 @@
 """Checks that ground truth stays in the plane x, y of its frame: its z axis must be normal to the surface."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.errors import DataError

@@ -6,8 +6,6 @@ the place of the forward kinematics, and everything behind it is the code for wh
 the lever at which the noise of the wheels becomes one of the turn.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Wheels and ground truth measured the same drive. Each bounds the other, whatever
 has a factor of margin that no slip, tolerance or wrong bench file reaches; a wrong unit exceeds it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.errors import DataError

@@ -6,8 +6,6 @@ changes it by 6 times or more, in all stretches. Raw columns are converted befor
 a counter that wraps at its own whole turn is handled as well.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

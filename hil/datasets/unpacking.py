@@ -1,7 +1,5 @@
 """Decompresses tables and bags that are compressed as a whole, by gzip or zstd."""
 
-from __future__ import annotations
-
 import gzip
 import shutil
 import tempfile

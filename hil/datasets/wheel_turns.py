@@ -7,8 +7,6 @@ Where a counter wraps at every turn, rows further apart than half a turn takes d
 turns; the wheel rates may. Nothing else is guessed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

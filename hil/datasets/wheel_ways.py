@@ -4,8 +4,6 @@ A way is complex: its real part ahead, its imaginary part to the left. With it o
 the ground truth without the other three.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

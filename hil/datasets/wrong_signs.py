@@ -5,8 +5,6 @@ moves of one second in the robot's own frame, where neither drift nor a jump dec
 of a column explains the difference, a warning states its size.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A device as `hil doctor` has watched it, and the findings that most devices share."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence

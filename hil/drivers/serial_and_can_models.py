@@ -1,7 +1,5 @@
 """Base classes of models at a serial port and of models on a CAN bus."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Pose estimation: wheel odometry, EKF and UKF behind one interface, `hil.core.interfaces.Estimator`."""
 
-from __future__ import annotations
-
 from hil.config.estimator import EstimatorConfig, check_scales
 from hil.core.errors import ConfigError
 from hil.core.interfaces import Estimator

@@ -7,8 +7,6 @@ camera samples that the next sample is compared with; with it the scale would dr
 (docs/decisions/0024). The mean uses the estimated velocity.
 """
 
-from __future__ import annotations
-
 import math
 from typing import TypeAlias
 

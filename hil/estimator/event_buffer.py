@@ -5,8 +5,6 @@ events up to k. So the order of arrival does not change a single bit, as long as
 the start of the history.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.geometry import Array

@@ -3,8 +3,6 @@
 `run` is the only kernel that a control cycle calls. It processes every event from the first new one on.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

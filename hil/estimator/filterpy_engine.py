@@ -7,8 +7,6 @@ singular matrices, and rows are gated before the update. This engine is slow. It
 compiled engine is tested against, to 1e-9.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

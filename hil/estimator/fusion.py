@@ -4,8 +4,6 @@ A `FilterBackend` runs the events: the compiled kernels (`NumbaFilter`) or filte
 deterministic: the order in which samples arrive does not change a bit of the state.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from functools import cache

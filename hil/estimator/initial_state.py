@@ -1,7 +1,5 @@
 """Start state of an estimator: checks, and the initial state and covariance of the filter."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig

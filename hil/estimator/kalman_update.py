@@ -6,8 +6,6 @@ and allows a single bad row to be left out. The covariance stays symmetric to th
 products of a vector with itself are subtracted.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Each is a numpy record with its own fields and one part per sensor under the sensor's name.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np

@@ -12,8 +12,6 @@ stride; without it the loop is not vectorised. Copies are loops because numba ta
 the error message of an array assignment whose shapes do not match.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ normalised innovation squared, is the same quantity for an innovation and needs 
 innovations of a consistent filter are white.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import chdtrc, gammaincinv  # scipy.stats takes 1 s to import
 

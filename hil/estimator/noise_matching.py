@@ -5,8 +5,6 @@ What a wheel model makes of the noise of its encoders is not measured: it is sca
 the wheels is 1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

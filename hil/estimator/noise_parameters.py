@@ -1,7 +1,5 @@
 """Table of the sensors' noise figures: name, device, units, and the key in `[estimator]`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

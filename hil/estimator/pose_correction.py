@@ -8,8 +8,6 @@ switch between them is needed. Where the heading is known only to `UNSURE_RAD`, 
 finds the point to linearise at before any row is gated.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 `hil.estimator.constant_twist` moves the state; this module predicts the covariance.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.config.estimator import EstimatorConfig

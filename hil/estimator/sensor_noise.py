@@ -6,8 +6,6 @@ a figure contains another sensor's noise, that noise is subtracted. Only measure
 configuration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 

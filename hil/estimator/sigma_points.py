@@ -13,8 +13,6 @@ e_k = (f_k+ + f_k-) / 2 - f_0, the weights collect to
 in which nothing cancels. The linear part of the model keeps its covariance exactly and needs no points.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple, TypeAlias
 

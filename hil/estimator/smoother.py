@@ -6,8 +6,6 @@ backwards through every update, clone and prediction of the extended Kalman filt
 result on a linear model (tests compare it with the batch solution). Offline only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import NamedTuple

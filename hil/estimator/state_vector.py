@@ -6,8 +6,6 @@ slip per rolled metre (rad/m); slip velocity (wall axes, m/s); creep, the slip p
 m/m); offset of the gravity heading (rad); pose cloned at the last servo read.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig

@@ -10,8 +10,6 @@ the other by a factor, keeps what helps and refines the factor. It uses no deriv
 the result is the same every time. A figure on which no score depends is not fitted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass

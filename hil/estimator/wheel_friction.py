@@ -5,8 +5,6 @@ weights are computed from the steps of the last `friction_window_s` together and
 (blocks of 0.3 s, continuation q = 2, 1.5, 1.2, 1). The laws are those of `hil.robot.contact_laws`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

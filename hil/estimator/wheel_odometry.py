@@ -4,8 +4,6 @@ It is the baseline for every filter and the bench's fallback. Displacements are 
 (or rates times the step, by `source`). A wheel missing in one read is left out of the least squares.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Joints are numbered 0..7: drives FL, BL, BR, FR, then steers FL, BL, BR, FR (`hil.core.signals.SERVOS`).
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from dataclasses import dataclass

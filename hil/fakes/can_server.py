@@ -3,8 +3,6 @@
 The default interface is UDP multicast among the programs of this host.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections import deque
 from collections.abc import Callable, Mapping

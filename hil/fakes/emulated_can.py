@@ -1,7 +1,5 @@
 """Connects emulated devices on CAN: by a channel in this process, or by one that any client can open."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from functools import partial

@@ -5,8 +5,6 @@ uses python-can's own port and each further bus the next one, because a python-c
 multicast group at its port. Otherwise each device has its own port, the first of the host python-can's.
 """
 
-from __future__ import annotations
-
 import socket
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A model's `emulate` takes an `EmulationRequest` and gives an `EmulatedDevice`. M
 line (`on_serial_line`) or on a CAN bus (`hil.fakes.emulated_can`); the others define both connections.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

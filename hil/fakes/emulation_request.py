@@ -6,8 +6,6 @@ other bounds writes `Annotated[float, Within(...)]` in its dataclass; these repl
 Fields of another package only need to be finite and within the bounds that it gives.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields

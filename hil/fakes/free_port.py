@@ -1,7 +1,5 @@
 """Finds a free UDP port of this host."""
 
-from __future__ import annotations
-
 import socket
 
 

@@ -1,7 +1,5 @@
 """Frames that a client of the emulated CAN bus has sent periodically (`send_periodic`), in world time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import can

@@ -5,8 +5,6 @@ pyserial finds the scheme by this module's name in a package listed in
 time, so that a client that polls it makes progress.
 """
 
-from __future__ import annotations
-
 import errno
 from typing import Any
 from urllib.parse import urlsplit

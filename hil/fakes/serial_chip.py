@@ -4,8 +4,6 @@ A chip models registers, firmware and timing. The serial line (`serial_line.py`)
 wire faults. A transport (in-process pyserial URL or PTY) carries the bytes to a client.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, NamedTuple, Protocol

@@ -5,8 +5,6 @@ modem lines and cannot be unplugged: during `unplug` it is silent. Like the driv
 what arrives while no client has it open, and forgets a client's claim to be the only one (TIOCEXCL) with it.
 """
 
-from __future__ import annotations
-
 import array
 import contextlib
 import fcntl

@@ -9,8 +9,6 @@ Replies of a chip that is far behind are dropped: the client would take old valu
 a jump of the robot as soon as the world has caught up.
 """
 
-from __future__ import annotations
-
 import os
 import select
 from abc import abstractmethod

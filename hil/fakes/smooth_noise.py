@@ -1,7 +1,5 @@
 """Random errors that change smoothly: their values at neighbouring times are alike."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A transport on one UDP socket; it forwards data at once and has no planned actions."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 

@@ -12,8 +12,6 @@ An exception raised by a part is a defect of that part. It is raised once; from 
 like a device that has failed, so that a bench that closes can still hold the robot with the other devices.
 """
 
-from __future__ import annotations
-
 import zlib
 from abc import abstractmethod
 from bisect import insort

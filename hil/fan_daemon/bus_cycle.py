@@ -1,7 +1,5 @@
 """One cycle of the fan daemon on the CAN bus: receive, decide, send. A failed bus is retried for ever."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

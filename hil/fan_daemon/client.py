@@ -1,7 +1,5 @@
 """Client of the fan daemon: finds or starts it, and sends requests, blocking or without waiting."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Interface between a driver and what commands its motor: the daemon process, or a daemon in a world."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Protocol

@@ -6,8 +6,6 @@ steps back when that one has taken over. Where the new daemon belongs to another
 the bench goes on by itself. If the fan was emulated and its emulator has ended, nothing is done.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable

@@ -6,8 +6,6 @@ fan that runs already when the daemon starts is taken over as it runs. The same 
 process, in a bench that replaces it, and in virtual time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

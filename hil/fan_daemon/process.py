@@ -6,8 +6,6 @@ The first line on stdout is a JSON object with its process id, or the error. The
 a running fan starts a second one as its standby.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """Lets a process outlive others: new session, signals ignored, real-time priority, locked memory."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc

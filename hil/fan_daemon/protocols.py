@@ -1,7 +1,5 @@
 """Encodes set-points for a motor controller and decodes its reports: VESC and DroneCAN frames."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping

@@ -10,8 +10,6 @@ Asked `{"do": "status"}`, `{"do": "set", "quantity": q, "value": v}` or `{"do": 
 a daemon answers with its status, or with `{"error": {message, expected, remedy, exit_code}}`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -4,8 +4,6 @@ It polls the daemon's status over the same socket as all clients. The kernel han
 dies, so the standby detects it within microseconds, whatever else this computer does.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import select

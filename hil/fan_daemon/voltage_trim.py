@@ -5,8 +5,6 @@ since the fan settled, and lowered, never below the set-point, only when both ha
 wrong changes nothing.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The cells of a fault campaign: which fault, when, and in which emulated world."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ The verdict uses data: the kinds of devices that a stop or an event names as sus
 the robot. Of message texts only the names of single servos are evaluated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Results of a fault campaign: matrix (devices and faults in rows, moments in columns), page and JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ The class follows from the faulty device and from what the fault removes, so tha
 weaker bounds of another one.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace

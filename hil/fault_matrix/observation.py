@@ -1,7 +1,5 @@
 """Observations of one cell: what the bench reported, and what the emulated robot truly did."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

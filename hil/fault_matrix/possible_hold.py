@@ -5,8 +5,6 @@ noise; from then on the best that any bench can do is to press with the fan and 
 module computes that by the equation of motion, apart from bench and emulated worlds.
 """
 
-from __future__ import annotations
-
 import math
 
 SEEN_M, ACTS_S = 0.005, 0.05

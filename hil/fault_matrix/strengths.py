@@ -4,8 +4,6 @@ The first strength of a fault is tested at every moment, the others in motion. A
 path nor messages at any strength tests nothing and is in no cell of a single fault.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 DEFAULT = ""

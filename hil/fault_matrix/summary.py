@@ -1,7 +1,5 @@
 """Summarises a fault campaign as JSON data for its pages: fault classes with bounds, rows, failures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

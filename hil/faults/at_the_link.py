@@ -3,8 +3,6 @@
 The faults alter and withhold only what comes from the device. Emulated devices have theirs at the chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

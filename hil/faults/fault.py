@@ -7,8 +7,6 @@ without `+` until the end. A device declares the faults and options that it supp
 and so is an option outside its range.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field

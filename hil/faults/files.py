@@ -10,8 +10,6 @@ A timeline is a list of tables, seconds counted from the world's start::
     options = { scale = 2.0 } # as the device names them
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A message is one reply of a bus, one packet of a stream, one frame or one datagr
 draws once for each message. Emulated devices use the rule at their wires; it knows neither device nor wire.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ A bench asks here before it opens a port. What is injected acts on messages from
 always arrives; the fan's commands come from a process of its own, which has no faults.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Maps the arrival times of CAN frames to the bench clock."""
 
-from __future__ import annotations
-
 from hil.core.clock import NS_PER_S
 
 _WAITED_NS = 1_000_000_000

@@ -6,8 +6,6 @@ bus again. In virtual time (a clock without relation to the time of day) there i
 bus recovers by itself.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator

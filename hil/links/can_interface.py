@@ -4,8 +4,6 @@ python-can's interfaces raise what the libraries below them raise: a cut line of
 connection that python-can-remote has lost is a class of its own. Closing may wait for ever for the other end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

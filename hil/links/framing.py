@@ -1,7 +1,5 @@
 """Where one message ends and the next begins in the bytes of a device, by protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ The bench opens a driver within `in_front_of`. What the driver then opens has th
 what comes from the device passes through them; without a plan nothing is wrapped.
 """
 
-from __future__ import annotations
-
 import contextlib
 import select
 from collections import deque

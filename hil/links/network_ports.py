@@ -6,8 +6,6 @@ one byte, and each change of a timeout negotiates with the server for 50 ms. The
 wait and give them all, negotiate only when a line setting changes, and notice a server that has vanished.
 """
 
-from __future__ import annotations
-
 import array
 import contextlib
 import fcntl

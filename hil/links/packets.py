@@ -1,7 +1,5 @@
 """Finds packets and lines in a byte stream that may begin, end and be damaged anywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Generic, TypeVar
 

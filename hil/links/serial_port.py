@@ -1,7 +1,5 @@
 """An open serial port of a driver. Errors of pyserial become `DeviceError`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 

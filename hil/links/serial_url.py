@@ -4,8 +4,6 @@ A local port reads without checking first whether bytes have come. It belongs to
 first that opens it locks it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

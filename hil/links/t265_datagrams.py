@@ -6,8 +6,6 @@ camera, nothing more), `FEED_SETTINGS` (client to camera: JSON, `options` by lib
 `FEED_POSE` (`POSE_RECORD`), in the camera's own axes and on its own clock.
 """
 
-from __future__ import annotations
-
 import struct
 
 FEED_MAGIC = b"HP1"

@@ -5,8 +5,6 @@ of its own, which does nothing else. A flood takes a bounded share of that threa
 than any capture system sends waits in the kernel, which drops the rest.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

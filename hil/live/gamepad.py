@@ -3,8 +3,6 @@
 The library is PySDL2 with SDL's own binary (pysdl2-dll); it knows the layout of some hundreds of gamepads.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from typing import Any

@@ -6,8 +6,6 @@ the robot for a moment, pauses, and goes on when its repeats begin. One that com
 is ignored until it is let go: it may be stuck.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import termios

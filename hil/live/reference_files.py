@@ -1,7 +1,5 @@
 """References for the live loop: waypoints of a CSV file, or a script that makes a trajectory."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Callable

@@ -5,8 +5,6 @@ trajectory is to be followed, they drive the wheels, too. A publisher that is mi
 gone causes a warning.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from typing import NoReturn

@@ -223,7 +223,7 @@ class LiveSession:
         self.end_if_asked()
         bench.config.must_know_start()
         if self._moving:
-            bench.rig.actuators().enable()
+            bench.devices.actuators().enable()
         pose = self._settled()
         if plan.program is not None:
             if not plan.program.found():

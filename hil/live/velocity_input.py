@@ -10,8 +10,6 @@ Any user of this host can send to a port of it, so a datagram has to begin with 
 operator knows.
 """
 
-from __future__ import annotations
-
 import hmac
 import logging
 import math

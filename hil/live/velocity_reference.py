@@ -5,8 +5,6 @@ disturbances by the wall. It depends only on the received lines and on the times
 Every cycle record contains it, and replay reads it from there.
 """
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

@@ -4,8 +4,6 @@ Upstream of this module, angles and frames are the devices' own; downstream they
 of `hil.core.signals`. Deterministic: the output depends only on the inputs since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

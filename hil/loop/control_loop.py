@@ -15,8 +15,6 @@ cycle, as numbered in both modules:
 10. sleep until the next deadline.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -43,13 +41,13 @@ from hil.loop.timing import Laps, LoopStatistics
 
 
 class ControlLoop:
-    """Runs a pipeline on a rig at a fixed rate with absolute deadlines.
+    """Runs a pipeline on a devices at a fixed rate with absolute deadlines.
 
     A missed deadline is counted; deadlines that have passed entirely are skipped, never made up for in a
     burst. On any error the actuators are stopped before the error is raised.
 
     Args:
-        rig, clock, pipeline: devices, clock, and the pipeline that computes the commands.
+        devices, clock, pipeline: devices, clock, and the pipeline that computes the commands.
         rate_hz: cycles per second.
         late_after_s: delay beyond its deadline from which on the start of a cycle counts as late.
         sinks: sinks that receive every cycle.
@@ -65,7 +63,7 @@ class ControlLoop:
 
     def __init__(
         self,
-        rig: DeviceSet,
+        devices: DeviceSet,
         clock: Clock,
         pipeline: ControlPipeline,
         *,
@@ -75,7 +73,7 @@ class ControlLoop:
         truth: Callable[[], Mapping[str, Any] | None] = lambda: None,
         undivided: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
-        self.rig, self.clock, self.pipeline, self._truth = rig, clock, pipeline, truth
+        self.devices, self.clock, self.pipeline, self._truth = devices, clock, pipeline, truth
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
         self.sinks = sinks
@@ -102,12 +100,12 @@ class ControlLoop:
                     self.idle(deadline_ns)
                 self._rest()
         except BaseException:
-            self.rig.disarm()
+            self.devices.disarm()
             raise
         finally:
             with self._undivided():
-                if self.rig.servos is not None:
-                    self.rig.servos.stop()
+                if self.devices.servos is not None:
+                    self.devices.servos.stop()
                 self._rest()
 
     def cycle(self, deadline_ns: int) -> CycleRecord:
@@ -124,8 +122,8 @@ class ControlLoop:
             self._stopped(inputs, stop)
             raise
         with self._undivided():
-            if self.pipeline.commands and self.rig.servos is not None:
-                self.rig.servos.command(decision.command)  # 8
+            if self.pipeline.commands and self.devices.servos is not None:
+                self.devices.servos.command(decision.command)  # 8
             lap("write")
             timing = {**laps.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
             record = CycleRecord(
@@ -154,7 +152,7 @@ class ControlLoop:
         """Read every device; a timeout that is this computer's is reported as `held_up`."""
         before_ns, self._began_ns = self._began_ns, start_ns
         try:
-            return self.rig.read(self._cycle)
+            return self.devices.read(self._cycle)
         except DeviceTimeoutError as error:
             gap_ns = 0 if before_ns is None else start_ns - before_ns
             why = f"{stood_still(gap_ns)}; then" if gap_ns > HELD_UP_NS else ""
@@ -198,16 +196,16 @@ class ControlLoop:
 
     def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
         """Stop the robot at once and write a last record with the reason and the checks' figures."""
-        self.rig.disarm()
+        self.devices.disarm()
         with self._undivided():
-            if self.rig.servos is not None:
-                self.rig.servos.stop()
+            if self.devices.servos is not None:
+                self.devices.servos.stop()
             supervisor = self.pipeline.supervisor
             if isinstance(stop, SafetyStop) and presses_harder(stop.reason, supervisor.checks.hold):
-                self.rig.brace()
+                self.devices.brace()
             events = [Event(inputs.t_ns, "error", source, str(stop))]
             if supervisor.slide is not None and supervisor.slide.push is not None:
-                refused = self.rig.push(supervisor.slide.push, falls=supervisor.fall.falls)
+                refused = self.devices.push(supervisor.slide.push, falls=supervisor.fall.falls)
                 message = f"the propellers are not raised: {refused}"
                 events += [Event(inputs.t_ns, "warning", "thrust", message)] * bool(refused)
             zero = np.zeros(4)

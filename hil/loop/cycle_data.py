@@ -1,7 +1,5 @@
 """The data of one cycle that all checks share, and the protocol of a check."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

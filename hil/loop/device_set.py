@@ -1,7 +1,5 @@
 """All devices of a bench together: opened in order, read once per cycle, always closed."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Mapping

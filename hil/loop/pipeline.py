@@ -4,8 +4,6 @@
 through it reproduce the recorded setpoints exactly (`hil replay`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Converts poses of camera and motion capture to body poses: mounts, scale, start frame, unwrapping."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ rest; no wheel is commanded faster than the acceleration limit permits, nor much
 turn. Deterministic: depends only on the times of the cycles and on the measured wheels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

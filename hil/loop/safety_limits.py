@@ -1,7 +1,5 @@
 """The limits of a bench, and the set of its checks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ Stale, implausible or faulty data are reported as events; a condition under whic
 their findings are reported together. Deterministic: depends only on the inputs since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

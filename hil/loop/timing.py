@@ -3,8 +3,6 @@
 If many cycles begin late it gives a remedy.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ checked in every cycle and copied, because they may be kept and changed later. A
 end the run much later, in code that the user does not know. Parts of this package are called directly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy

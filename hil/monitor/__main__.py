@@ -6,8 +6,6 @@ if Rerun then waits for a viewer without end; SIGINT is left to the parent. The 
 could not be opened or did not accept everything.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Time series of the loop as columns: what the plots show; pure numpy, no Rerun."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

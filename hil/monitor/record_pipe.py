@@ -4,8 +4,6 @@ The first message is the scene. Each further one is a list of cycle records and 
 message is the end. The head of a message holds its length and the number of cycles not shown so far.
 """
 
-from __future__ import annotations
-
 import copyreg
 import io
 import pickle

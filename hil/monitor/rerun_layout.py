@@ -1,7 +1,5 @@
 """Layout and colours of the Rerun window: the robot on the left, the operator's figures on the right."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

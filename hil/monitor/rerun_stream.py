@@ -4,8 +4,6 @@ It lives in a process of its own (`hil.monitor.__main__`): neither the interpret
 for which Rerun may wait without an end, can delay the loop.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

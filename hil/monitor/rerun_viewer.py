@@ -4,8 +4,6 @@ The library's `spawn`, `serve_web_viewer` and `GrpcServerSink` listen on every n
 option to change that; the program that comes with them has one.
 """
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 import os

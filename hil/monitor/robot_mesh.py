@@ -1,7 +1,5 @@
 """The body that is drawn where the user gives no mesh: made from `[robot]`; pure numpy, no Rerun."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

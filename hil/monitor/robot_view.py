@@ -4,8 +4,6 @@ Below `scene`, `wall` is tilted as the surface is and holds everything; `wall/es
 `wall/reference` are frames that move; the wheels turn in `wall/estimate`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -5,8 +5,6 @@ thread would end, and a caller that closes the recording could wait for that thr
 signal interrupts. A pipe is never full for long.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import sys

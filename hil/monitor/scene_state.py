@@ -5,8 +5,6 @@ emulated robot's own, else the measured motion minus the rolling of the wheels. 
 own, else those of statics.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import deque

@@ -6,8 +6,6 @@ dropped; their number is shown. With `lossless` the caller waits instead, as lon
 Rerun may wait for a viewer without end: its process is then killed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -5,8 +5,6 @@ wall, Y left, Z out of it), tilted about the horizontal Y; `body`; a wheel's hub
 steered about z; the wheel, turned about its axle.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

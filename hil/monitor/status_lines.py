@@ -3,8 +3,6 @@
 No Rerun and no thread: figures that are due are passed on within the cycle, as plain values.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

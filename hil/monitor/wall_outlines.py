@@ -4,8 +4,6 @@ The view looks at the wall from outside: X (up) points up on the screen, Y (left
 2D views have x to the right and y down, hence `to_view`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writes sections of `bench.toml` as a result of a run, to be reviewed and copied by a person."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

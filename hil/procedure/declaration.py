@@ -7,8 +7,6 @@ A procedure is a plain function of one argument, its `Context`:
         ...
 """
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import logging

@@ -8,8 +8,6 @@ verdict) a signal waits for the end of the block. It does not wait for code of a
 running for too long, because this may never return.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 Limits are declared before anything is measured. A declared measurement that is never set fails.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Selects the devices that a run uses: leaves the others out of the bench, reports missing ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 

@@ -4,8 +4,6 @@ The file holds one answer per line in the order of the questions, or `text of th
 Empty lines and lines that start with `#` are skipped. With a file every procedure runs unattended.
 """
 
-from __future__ import annotations
-
 import sys
 from abc import abstractmethod
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Converts `--set key=value` to typed parameters of a procedure; reports all problems at once."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Finds a procedure: a Python file anywhere, or the name of a shipped one."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -5,8 +5,6 @@ record can apply it later (`hil robot apply RECORD --from part_camera.toml`). Th
 `bench_fragment.toml` name the robot and the verdict of the run.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from datetime import date, timedelta

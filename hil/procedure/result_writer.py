@@ -1,7 +1,5 @@
 """Writes the result of a run to files: `result.json` (schema 1) and JUnit XML."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

@@ -4,8 +4,6 @@ A killed run can be resumed from its journal. An incomplete last line is dropped
 an error, because a run resumed from a damaged journal would have wrong results.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import logging

@@ -1,7 +1,5 @@
 """Options of a run: results folder, clock, operator and others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

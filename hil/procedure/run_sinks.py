@@ -1,7 +1,5 @@
 """Sinks that a run adds to its bench: the recorder, and a timer that enforces step time limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Concludes a run: its errors with name and step, its verdict, and the facts of `result.json`."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Sequence
 from pathlib import Path

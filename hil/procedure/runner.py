@@ -4,8 +4,6 @@ After any error the robot is held, the first error is reported, and the results 
 run describes what would be done, without moving anything.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace

@@ -4,8 +4,6 @@ For procedures that examine single joints (turn one steering servo, roll one whe
 command at each time. The robot stands still before and after.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from hil.bench import Bench
@@ -34,7 +32,7 @@ def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, stee
         SafetyStop, DeviceError: in each case the robot is stopped.
     """
     script = JointScript(stretches, start_pose, steering_rad)
-    bench.rig.actuators().enable()
+    bench.devices.actuators().enable()
     pipeline = bench.make_pipeline(script, feedback=_FEEDBACK)
     start = RunStart(bench.start_state(script.pose), _FEEDBACK, SCRIPT, trajectory=script.to_mapping())
     end_ns = bench.clock.now_ns() + nanoseconds(script.duration_s)

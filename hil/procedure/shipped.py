@@ -1,7 +1,5 @@
 """The shipped procedures: their names and summaries, read from their sources without running them."""
 
-from __future__ import annotations
-
 import ast
 import pkgutil
 from pathlib import Path

@@ -56,7 +56,7 @@ def check_references(config: BenchConfig, references: Iterable[Trajectory]) -> N
 
 def enable_hold(bench: Bench, duration_s: float = 0.5) -> Array:
     """Enable the hold on the wall; return the pose of the standing robot, (3,)."""
-    bench.rig.actuators().enable()
+    bench.devices.actuators().enable()
     return bench.settle(duration_s)
 
 

@@ -12,8 +12,6 @@ the bench file for the tests at wire level (`OVERRIDES = {"servos.reply_slack_s"
 its own tests: their `bench` is the plugin's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from types import ModuleType
@@ -121,7 +119,7 @@ def closed_bench(backend: str, request: pytest.FixtureRequest) -> Generator[Benc
 @pytest.fixture
 def device(closed_bench: Bench, kind: str) -> Generator[Any, None, None]:
     """Each device in turn, opened."""
-    found = closed_bench.rig.get(kind)
+    found = closed_bench.devices.get(kind)
     found.open()
     yield found
     found.close()

@@ -10,8 +10,6 @@ bench, as for every test. In real time an idle loop runs for a third of that tim
 cycles are compared with its own, so that they show delays of the bench and not the load of the computer.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Sequence
@@ -92,9 +90,9 @@ def watched(request: pytest.FixtureRequest) -> Watch:
         idle = idle_for(source, watch_s * IDLE_SHARE)
         with source.open() as bench:
             bench.warns_not_held = False
-            if bench.rig.servos is not None:
-                bench.rig.servos.enable()
-            identity = {d.name: dict(d.identity()) for d in bench.rig.devices()}
+            if bench.devices.servos is not None:
+                bench.devices.servos.enable()
+            identity = {d.name: dict(d.identity()) for d in bench.devices.devices()}
             motion = bench.observe(watch_s)
         idle += idle_for(source, watch_s * IDLE_SHARE)
     return Watch(bench, motion, identity, idle)

@@ -5,8 +5,6 @@ that of OMG's DDS-XTypes 1.3, 7.4.1 (XCDR version 1), little endian: a value beg
 size, counted after the first four bytes.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Sequence
 from functools import lru_cache

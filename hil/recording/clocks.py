@@ -4,8 +4,6 @@ Two computers that record one run agree as well as their clocks do. Where a netw
 (`ptp4l`), that is better than an undisciplined wall clock.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

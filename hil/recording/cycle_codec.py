@@ -8,8 +8,6 @@ that a record lacks gets its default. Samples of added kinds are kept with the i
 measurements.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

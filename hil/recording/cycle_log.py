@@ -1,7 +1,5 @@
 """The cycles of a running drive: the newest in memory, all others on disk, and their numbers as arrays."""
 
-from __future__ import annotations
-
 import logging
 import os
 import tempfile

@@ -4,8 +4,6 @@ What can be read is read; what cannot is named in `problems`. A file without our
 with `DataError`: recordings of other robots are read with a topic mapping (`hil.datasets.rosbag`).
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path

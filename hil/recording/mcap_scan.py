@@ -1,7 +1,5 @@
 """Records and messages of an MCAP file, whatever wrote it, and what is wrong with damaged ones."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

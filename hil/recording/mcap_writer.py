@@ -6,8 +6,6 @@ second. When the disk cannot keep up, or is full, records are lost and counted, 
 loop stop, unless `on_failure` lets it go on.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import threading

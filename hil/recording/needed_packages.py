@@ -1,7 +1,5 @@
 """Finds the packages that a recording needs: those that add the kinds and models of its devices."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

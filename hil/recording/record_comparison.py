@@ -1,7 +1,5 @@
 """Bit-for-bit comparison of records: names the first field in which two values differ."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import numbers

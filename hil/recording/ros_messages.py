@@ -1,7 +1,5 @@
 """The ROS 2 messages of a cycle record: samples, estimate, reference, events, frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Names and types of the ROS 2 topics of a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from hil.core.device import DeviceKind

@@ -6,8 +6,6 @@ relative to its start. The start is placed where the estimate had the camera in 
 with a good pose, so that the drift of the camera stays visible.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

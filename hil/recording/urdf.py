@@ -6,8 +6,6 @@ in the joints' axes and origins. Sensors hang on fixed joints. Shapes are simple
 the URDF is for display only.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -6,8 +6,6 @@ that was found, and well below the resolution of any sensor. Everything that is 
 events, which samples were used, flags, counts.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -5,8 +5,6 @@ motion capture (`hil.replay.truth_errors`, `truth_of`) and with their own covari
 `fitting` chooses the filters by the sensors that sent data.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

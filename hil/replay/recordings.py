@@ -1,7 +1,5 @@
 """Recordings played back through the pipeline: the bench they were made on, and the runs they hold."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Errors of estimates against motion capture, and both as trajectories at the same instants."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimators of the user's own for a replay: classes or functions, `FILE.py:NAME` or `MODULE:NAME`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import cast
 

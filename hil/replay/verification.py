@@ -4,8 +4,6 @@ Where the same arithmetic decides, every bit must be equal. Where it is another 
 the limits of `hil.replay.difference_limits`.
 """
 
-from __future__ import annotations
-
 import re
 from collections import deque
 from collections.abc import Iterable

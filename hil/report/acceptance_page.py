@@ -1,7 +1,5 @@
 """The page of an acceptance: verdict, devices, every check, and lines to sign; and its JSON."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 Also the page of a record alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path

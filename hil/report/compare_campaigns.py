@@ -5,8 +5,6 @@ distinguishes two estimators or calibrations with far fewer runs than two averag
 value in only one campaign makes no pair, and is listed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """Compares several runs of one procedure: which measurement changed, and by how much."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

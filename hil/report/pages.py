@@ -1,7 +1,5 @@
 """Shared parts of all pages: templates, the script for figures, formats of numbers, times and verdicts."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import math

@@ -3,8 +3,6 @@
 A results folder may come from an untrusted source, so files that it names are used only if they lie inside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal

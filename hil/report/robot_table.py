@@ -1,7 +1,5 @@
 """Rows about the known parameters of a robot: part, values, uncertainty, procedure, date, validity."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from datetime import date

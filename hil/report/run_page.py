@@ -4,8 +4,6 @@ Order: summary and verdict, figures, measurements by device with their limits dr
 section to repeat the run. It needs no network and supports dark and light themes, phones, desktops and print.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

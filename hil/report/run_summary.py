@@ -1,7 +1,5 @@
 """Summarises a run in one sentence, and groups its measurements by device."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter

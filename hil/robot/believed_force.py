@@ -1,7 +1,5 @@
 """The force that counts where several measurements give one: which agree, and which is not believed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

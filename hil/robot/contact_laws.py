@@ -19,8 +19,6 @@ positions are the first eight elements of a parameter vector z: x_1..4, y_1..4, 
 (xx, xy, xt, yy, yt, tt).
 """
 
-from __future__ import annotations
-
 from typing import TypeAlias
 
 import numpy as np

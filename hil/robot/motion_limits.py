@@ -1,7 +1,5 @@
 """Checks, before anything moves, that a robot can follow a trajectory."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import takewhile

@@ -9,8 +9,6 @@ The law of the motor: voltage = speed / rpm_per_v + current x resistance, and th
 current, grows with the square of the speed, its power with the third power.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

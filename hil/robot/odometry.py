@@ -5,8 +5,6 @@ The paper's model has 11 states (x, y, theta, phi_1..4, delta_1..4) and 8 inputs
 the paper. SI units; poses in the frame of the start pose.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.errors import UsageError

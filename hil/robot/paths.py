@@ -4,8 +4,6 @@ A segment is a path over s in [0, 1] and a time law: `quintic` (s = 10 u^3 - 15 
 ends) or `constant` (the step profile of the public recordings). SI units.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

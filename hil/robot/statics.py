@@ -5,8 +5,6 @@ creeping tyres do, each in proportion to its normal load. The share of its frict
 does not depend on the stiffness of the tyres.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

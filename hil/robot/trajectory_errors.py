@@ -5,8 +5,6 @@ IEEE PAMI 1991), and `RPE` over consecutive pairs by the path of the reference.
 Poses are (x m, y m, theta rad).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -4,8 +4,6 @@ In real time the loop waits for a share of the cycle, then continues with the co
 virtual time it waits for the command that belongs to the cycle; the bench's time stands still meanwhile.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Collection
 from typing import Protocol

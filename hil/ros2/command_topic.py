@@ -3,8 +3,6 @@
 Messages are passed on unchanged. Messages of all these types are received, whichever the program sends.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence, Set
 from typing import Any

@@ -1,7 +1,5 @@
 """`/diagnostics` of a bench: its events, what stopped it, and how it left the robot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ The result depends only on the received commands and on the times of the cycles,
 Joint commands are in the servos' own angles, as `/joint_states` and `/robot_description` have them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ type, in both directions, so each type is described in full. Samples themselves 
 they are encoded and decoded elsewhere.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -4,8 +4,6 @@ Every host that reaches the ports can read the bench, and command it if it accep
 password. So only this computer can reach the bench unless an interface is named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr

@@ -7,8 +7,6 @@ and one of the wrong length is misread. So the distribution has to be known.
 Importing this module loads cyclonedds and rosbags, which takes some tenths of a second.
 """
 
-from __future__ import annotations
-
 import logging
 import socket
 from collections.abc import Iterator, Mapping, Sequence

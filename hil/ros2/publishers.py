@@ -1,7 +1,5 @@
 """Describes the publishers of a topic by DDS: their programs, and how long DDS lists one that was killed."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A sensor that streams on a CAN bus, in one frame or in several for each sample."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any

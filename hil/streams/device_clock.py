@@ -6,8 +6,6 @@ second and 2 ms of jitter that keeps it within a tenth of a millisecond. When a 
 earlier ones were late, times do not go back.
 """
 
-from __future__ import annotations
-
 _LEAK = 100e-6
 _EARLIEST_NS = 250_000_000
 _LATEST_NS = 5_000_000_000

@@ -1,7 +1,5 @@
 """Judges a stream of poses, whatever sends them: times, plausible values, stuck values, jumps, restarts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from math import hypot

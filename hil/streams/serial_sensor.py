@@ -1,7 +1,5 @@
 """A sensor that streams at a serial port."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import Any

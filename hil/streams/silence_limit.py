@@ -1,7 +1,5 @@
 """Decides when a silent device is an error; also the error of a driver that is used while closed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from hil.core.clock import NS_PER_S, nanoseconds

@@ -1,7 +1,5 @@
 """Battery voltage without single damaged reports."""
 
-from __future__ import annotations
-
 import math
 
 from hil.robot.motor_cross_checks import far

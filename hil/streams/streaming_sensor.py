@@ -1,7 +1,5 @@
 """Base of streaming sensors: rising stamps, stuck values, and the time after which silence is an error."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Generic, TypeVar

@@ -1,7 +1,5 @@
 """Detects values that are not measured any more: real ones have noise, also at rest."""
 
-from __future__ import annotations
-
 from hil.core.clock import nanoseconds
 
 

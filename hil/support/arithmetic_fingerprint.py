@@ -6,8 +6,6 @@ The fingerprint names these choices. Two computers with equal fingerprints compu
 ones the last digits differ.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import sys

@@ -1,7 +1,5 @@
 """Writes files whole (atomically); errors name the file; checks beforehand whether it can be written."""
 
-from __future__ import annotations
-
 import errno
 import os
 import secrets

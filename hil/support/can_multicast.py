@@ -5,8 +5,6 @@ This bus uses the same format, so both can communicate. It is bound to the group
 host, and drops datagrams of other hosts. With IPv4 it is on the loopback interface, which needs no network.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import struct

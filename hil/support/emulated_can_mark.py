@@ -8,8 +8,6 @@ the buses that are emulated, and never for an adapter: it cannot end the daemon 
 Multicast has no bit rate, so a second name holds that of the emulated bus.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 from collections.abc import Mapping

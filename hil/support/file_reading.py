@@ -4,8 +4,6 @@ A file may come from anywhere. What is read here costs bounded memory and time w
 depth of nesting and length of keys are limited, and a parser's own failures become one `ValueError`.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import re

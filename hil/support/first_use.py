@@ -1,7 +1,5 @@
 """Names that a package offers and imports on first use, so that importing one of its modules stays quick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any

@@ -4,8 +4,6 @@ A robot on a wall is held by the program that commands it: a signal may request 
 must not interrupt it, neither the first signal nor a second one.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 Where the system does not count it, it is zero. What the host of a virtual machine takes away is not in it.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Mapping

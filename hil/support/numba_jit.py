@@ -8,8 +8,6 @@ another user has left beside the sources is read. `NUMBA_CACHE_DIR`, if it is se
 `NUMBA_DISABLE_JIT=1` runs everything as plain Python.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import hashlib

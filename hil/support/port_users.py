@@ -1,7 +1,5 @@
 """Finds the programs that have a port or a socket open, by `/proc`, as far as this user may read it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator

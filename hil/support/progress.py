@@ -1,7 +1,5 @@
 """Progress of work: its reports, and the estimate of the time left."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

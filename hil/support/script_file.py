@@ -3,8 +3,6 @@
 As when Python runs it, its folder becomes the first entry of the module search path.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import sys

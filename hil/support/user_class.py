@@ -1,7 +1,5 @@
 """Classes and functions of the user's own, named on a command line: `FILE.py:NAME` or `MODULE:NAME`."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Versions of the software that a recording or a result depends on."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

@@ -5,8 +5,6 @@ Figures: the end error of nominal odometry, by motion, with the interval in whic
 motions that it has not seen, and as a control repetitions of the recorded robot against each other.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Sequence

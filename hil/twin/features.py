@@ -1,7 +1,5 @@
 """Features of short windows at constant speed, in groups: what a signal looks like, not where it goes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Drives the emulated robot with the commands of a recording, through the real drivers of its devices."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 
@@ -89,7 +87,7 @@ def repeated(recording: Recording, config: BenchConfig, seed: int) -> Recording:
 
 
 def _play(bench: Bench, script: RecordedCommands, log: list[CycleRecord]) -> None:
-    bench.rig.actuators().enable()
+    bench.devices.actuators().enable()
     pipeline = bench.make_pipeline(script, feedback=_FEEDBACK)
     start = RunStart(bench.start_state(script.pose), _FEEDBACK, SCRIPT)
     end_ns = bench.clock.now_ns() + nanoseconds(script.duration_s)

@@ -5,8 +5,6 @@ Regression, ch. 1) on features and their squares, in the scale of the training d
 certainty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

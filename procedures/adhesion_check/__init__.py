@@ -6,8 +6,6 @@ at each speed. The difference of measured and needed force is the margin. On an 
 then shows at which force it slides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -147,7 +145,7 @@ def back(bench: Bench) -> None:
 def slide(ctx: Context) -> dict[str, float]:
     """Lower the fan's force until motion capture sees the tethered robot move; then hold it again."""
     bench = ctx.reopen("slide", overrides=_TETHERED)
-    needs, fan = needs_of(bench.config), bench.rig.get("adhesion")
+    needs, fan = needs_of(bench.config), bench.devices.get("adhesion")
     force_n = 1.3 * needs.needed_n
     visit(bench, force_n, 0.3)
     level = rest(bench, force_n, _LEVEL_S)[0]

@@ -1,7 +1,5 @@
 """Force levels of the fan: measured at rest; load cells are fitted over the squared fan speed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -106,7 +104,7 @@ def levels_n(config: BenchConfig, count: int, highest_n: float) -> list[float]:
 
 def visit(bench: Bench, force_n: float, dwell_s: float) -> Level:
     """Ramp to a force in small steps; return the mean values of a rest there."""
-    fan, now_n = bench.rig.get("adhesion"), _present_n(bench)
+    fan, now_n = bench.devices.get("adhesion"), _present_n(bench)
     steps = max(1, math.ceil(abs(force_n - now_n) / _STEP_N))
     for k in range(1, steps + 1):
         fan.set_force_n(now_n + (force_n - now_n) * k / steps)

@@ -314,14 +314,14 @@ def _signs(ctx: Context) -> dict[str, Any]:
 
 def identify(ctx: Context, bench: Bench) -> None:
     """Check the identities of the devices, and the registers of the servos."""
-    found = {d.name: dict(d.identity()) for d in bench.rig.devices()}
+    found = {d.name: dict(d.identity()) for d in bench.devices.devices()}
     ctx.measure("devices", sum(bool(f) for f in found.values()))
     rows = [
         [name, facts.pop("model", ""), "; ".join(f"{key} {value}" for key, value in facts.items())]
         for name, facts in found.items()
     ]
     ctx.table("Devices", ["device", "model", "found"], rows)
-    findings: tuple[Finding, ...] = getattr(bench.rig.actuators(), "diagnose", tuple)()
+    findings: tuple[Finding, ...] = getattr(bench.devices.actuators(), "diagnose", tuple)()
     ctx.measure("servos.failed_checks", sum(f.level == "failure" for f in findings))
     ctx.measure("servos.warnings", sum(f.level == "warning" for f in findings))
     ctx.table(

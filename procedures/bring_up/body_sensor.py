@@ -4,8 +4,6 @@ A camera that is turned about the vertical shows the right gravity. It shows no 
 all that is measured by it would be blamed on drives and steering. The gyro shows the same turns.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.geometry import Array

@@ -5,8 +5,6 @@ direction (sag on a wall), so that a tenth of a millimetre is enough to detect a
 observed for longer than gaps of motion capture (at most 0.2 s, as emulated).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

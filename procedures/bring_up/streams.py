@@ -1,7 +1,5 @@
 """Statistics of a device's samples: rate, gaps, age on arrival, drift of the device's clock."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ deviation of the turn rate at rest. On a wall, gravity lies in the plane of moti
 its offset from motion capture is corrected in the mount's rotation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
@@ -232,7 +230,7 @@ def learn(bench: Bench, p: Parameters) -> float:
 
 def store(ctx: Context, bench: Bench) -> tuple[Any, Path]:
     """Read the offsets from the chip and store them in a file."""
-    stored = cast(StoresOffsets, bench.rig.get("imu")).read_calibration()
+    stored = cast(StoresOffsets, bench.devices.get("imu")).read_calibration()
     path = ctx.folder / "imu_offsets.toml"
     stored.save(path)
     ctx.attach("IMU offsets", path)
@@ -348,7 +346,7 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
             "emulation.imu": {"mount_rotation_wxyz": config.mount_rotation_wxyz, **emulation},
         },
     )
-    back = cast(StoresOffsets, bench.rig.get("imu")).read_calibration()
+    back = cast(StoresOffsets, bench.devices.get("imu")).read_calibration()
     pairs = zip(
         (*stored.accelerometer_offset, *stored.magnetometer_offset, *stored.gyroscope_offset),
         (*back.accelerometer_offset, *back.magnetometer_offset, *back.gyroscope_offset),

@@ -1,7 +1,5 @@
 """Allan deviation of a rate sensor at rest, with the noise density and bias instability from it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Figures of an IMU calibration: Allan deviation at rest, and heading from gravity against the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

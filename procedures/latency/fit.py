@@ -10,8 +10,6 @@ Two sensors of one steering axis are compared by their angles instead: backlash 
 one at every reversal, and does not affect the delay only while the axis is driven.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

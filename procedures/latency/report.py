@@ -1,7 +1,5 @@
 """Table and figures of a latency run: delays from command to sample in the loop, and the signals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Collects the recordings of an odometry calibration: drives repetitions in separate worlds and processes."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Tables and figures of an odometry calibration: the paper's Tables I to III, rounds, validation paths."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any

@@ -4,8 +4,6 @@ Each set of parameters is judged on the recordings that were driven with it. The
 with, is judged on repetitions left out of its fit. So no set is judged on data that it was fitted to.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

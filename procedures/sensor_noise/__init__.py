@@ -6,8 +6,6 @@ innovations. The result goes into the robot's record, and is used unless the ben
 an emulated device only its samples are used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise

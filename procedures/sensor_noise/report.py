@@ -1,7 +1,5 @@
 """Results of `sensor_noise` as measurements, table, figures of the record, values of `[estimator]`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Mapping
 

@@ -5,8 +5,6 @@ along two directions: the common zero from this motion must agree with that of t
 drives with the new zeros. They are left as a fragment of `bench.toml`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 

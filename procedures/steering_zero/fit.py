@@ -9,8 +9,6 @@ in the same way in every motion. The common part is measured at the load centre,
 the load-weighted mean of the wheels' rolling: there turning has no effect.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

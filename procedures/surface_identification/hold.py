@@ -1,7 +1,5 @@
 """Finds the heading up to which a robot holds on its wall: a search by placing it at different headings."""
 
-from __future__ import annotations
-
 import math
 
 from hil.core.errors import SafetyStop
@@ -48,7 +46,7 @@ def stands(ctx: Context, heading_deg: float) -> tuple[bool, float | None]:
         overrides={**WITHOUT, **_TETHERED, "environment.start_pose": pose},
         prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
     )
-    bench.rig.actuators().enable()
+    bench.devices.actuators().enable()
     try:
         motion = bench.observe(1.5, feedback="odometry", start_pose=pose)
     except SafetyStop:

@@ -1,7 +1,5 @@
 """Slip per metre on a surface from driven motions, and whether the robot holds at rest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

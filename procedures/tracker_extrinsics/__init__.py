@@ -5,8 +5,6 @@ half-second intervals give mount, scale and time offset together (hand-eye calib
 again with the result, which is left as a fragment of `bench.toml`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain

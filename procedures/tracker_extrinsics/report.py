@@ -1,7 +1,5 @@
 """Report of the camera's mount: table, path, and error over latency."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.config.device import TrackerConfig

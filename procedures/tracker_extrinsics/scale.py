@@ -4,8 +4,6 @@ Half-second intervals determine the mount well and the scale poorly: each has th
 few centimetres. A leg has this noise once over its whole length, and averages it at rest.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -237,7 +237,7 @@ def test_cells_that_are_not_there_are_named_and_nothing_is_switched():
 def test_a_negative_push_is_refused_and_the_propellers_go_on():
     with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
         with pytest.raises(UsageError, match=r"thrust: a force of -3 N.*0 to 39.7 N"):
-            bench.rig.get("thrust").set_force_n(-3.0)
+            bench.devices.get("thrust").set_force_n(-3.0)
         bench.observe(0.5, feedback="odometry")
         assert bench.truth().thrust_n > 15.0
 
@@ -276,7 +276,7 @@ def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ende
         wait(bench, 3.0)
         raised_n = bench.truth().adhesion_n
         assert raised_n > 49.0
-        reported = Preload(bench.config, bench.rig, bench.clock).hold()
+        reported = Preload(bench.config, bench.devices, bench.clock).hold()
         assert re.search(
             r"The fan ran at 5\d\.\d N, more than the 45 N of the bench's file, .*, and stays there", reported
         )
@@ -287,17 +287,17 @@ def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ende
 def test_a_fan_that_runs_as_the_bench_wants_is_asked_for_that(monkeypatch):
     """Not for what it happens to give: that would creep up from session to session."""
     with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
-        bench.rig.get("adhesion").set_force_n(45.4)
+        bench.devices.get("adhesion").set_force_n(45.4)
         wait(bench, 2.0)
         asked = []
-        monkeypatch.setattr(bench.rig.get("adhesion"), "set_force_n", asked.append)
-        assert "stays there" not in Preload(bench.config, bench.rig, bench.clock).hold()
+        monkeypatch.setattr(bench.devices.get("adhesion"), "set_force_n", asked.append)
+        assert "stays there" not in Preload(bench.config, bench.devices, bench.clock).hold()
         assert asked == [45.0]
 
 
 def test_by_need_goes_down_from_a_raised_force_in_small_steps():
     with hil.open_bench("emulated", seed=1, overrides={"adhesion.by_need": True, **BRIEFLY}) as bench:
-        bench.rig.brace()
+        bench.devices.brace()
         wait(bench, 3.0)
         raised_n = bench.truth().adhesion_n
         seen = []

@@ -279,10 +279,10 @@ def test_propellers_that_run_faster_than_a_bench_wants_are_slowed_before_anythin
     """They go on as the last bench had them; the next one wants less."""
     fast = {"thrust.force_n": 22.3, "emulation.thrust.start": "off"}
     with hil.open_bench("emulated", seed=1, overrides={**ON_VESCS, **fast}) as bench:
-        propellers = bench.rig.get("thrust")
+        propellers = bench.devices.get("thrust")
         propellers.set_force_n(39.0)
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 3 * S)
-        Preload(bench.config, bench.rig, bench.clock).hold()
+        Preload(bench.config, bench.devices, bench.clock).hold()
         motion = bench.observe(1.0, feedback="odometry")
     assert max(s.throttle for r in motion.records for s in r.inputs.thrust) ** 2 * 39.7 < 1.15 * 22.3
 

@@ -48,7 +48,7 @@ def test_propellers_are_not_raised_in_a_fall_nor_once_they_were_lowered_against_
     given_n, refused = [], []
     with bench:
         for push, falls in orders:
-            refused.append(bool(bench.rig.push(push, falls=falls)))
+            refused.append(bool(bench.devices.push(push, falls=falls)))
             bench.clock.sleep_until_ns(bench.clock.now_ns() + SETTLES_NS)
             given_n.append(bench.truth().thrust_n)
     assert refused == [True, False, False, True, False]

@@ -49,6 +49,6 @@ def test_a_second_drive_from_the_first_ones_start_is_refused_and_nothing_moves()
 
 def test_a_start_that_is_given_is_looked_at_before_servos_are_enabled(monkeypatch):
     with hil.open_bench("emulated_floor", seed=3) as bench:
-        monkeypatch.setattr(bench.rig.servos, "enable", lambda: pytest.fail("enabled"))
+        monkeypatch.setattr(bench.devices.servos, "enable", lambda: pytest.fail("enabled"))
         with pytest.raises(TrajectoryError, match="distance between them"):
             bench.drive(UP, start_pose=(0.3, 0.0, 0.0))

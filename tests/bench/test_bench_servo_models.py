@@ -85,7 +85,7 @@ def test_the_emulated_robot_drives_with_the_models_motors(number):
         nominal = nominal_joints(servo_model(number))
         np.testing.assert_allclose(joints.resistance_ohm, nominal.resistance_ohm)
         np.testing.assert_allclose(joints.torque_constant_n_m_a, nominal.torque_constant_n_m_a, rtol=0.011)
-        servos = bench.rig.servos
+        servos = bench.devices.servos
         servos.enable()
         for _ in range(150):
             servos.read()
@@ -99,7 +99,7 @@ def test_the_emulated_robot_drives_with_the_models_motors(number):
 def test_emulated_servos_without_a_model_number_are_those_of_the_recordings():
     config = load_bench("emulated_floor", overrides={**ALONE, "servos.model_number": None})
     with hil.open_bench(config) as bench:
-        assert bench.rig.servos.identity()["model"] == "XH430-W210 (1010)"
+        assert bench.devices.servos.identity()["model"] == "XH430-W210 (1010)"
 
 
 @pytest.mark.parametrize(

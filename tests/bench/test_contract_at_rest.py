@@ -19,7 +19,7 @@ def reported(kind, altered, check=sees_no_motion):
     """What a check says of an emulated robot at rest whose samples are altered on their way."""
     with closing(hil.open_bench("emulated", seed=1)) as bench:
         bench.begin()
-        device = bench.rig.get(kind)
+        device = bench.devices.get(kind)
         read = device.read
         device.read = lambda: tuple(one for s in read() for one in altered(s))
         return check(Subject(bench, kind, lambda: bench))

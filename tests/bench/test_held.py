@@ -76,7 +76,7 @@ def test_lost_servos_come_back_without_calling_anything(kind, duration_s, at_s):
         assert (stop is None) == (at_s > MOVING_S)
         back_s = at_s + duration_s
         wait(bench, max(0.0, back_s + 0.3 - bench.clock.now_ns() / SECOND))
-        assert not bench.rig.servos.look_after().trouble
+        assert not bench.devices.servos.look_after().trouble
         assert moved_from(bench, 1.0) < 2.0
         assert bench.look().state == "HELD"
     assert bench.held.state == "HELD"
@@ -108,7 +108,7 @@ def test_whenever_it_happens_while_the_bench_opens_the_robot_is_held_in_the_end(
         "emulated", seed=3, faults=[fault(kind, at_s, duration_s)], overrides=FANLESS
     ) as bench:
         wait(bench, max(0.0, at_s + duration_s + 0.3 - bench.clock.now_ns() / SECOND))
-        assert not bench.rig.servos.look_after().trouble
+        assert not bench.devices.servos.look_after().trouble
         assert moved_from(bench, 1.0) < 2.0
     assert bench.held.state == "HELD"
 
@@ -119,7 +119,7 @@ def test_servos_that_do_not_come_back_while_they_are_enabled_are_named_in_time()
         bench.world.faults.add(parse_fault(f"servo.drive_BL:off@{began_s}"))
         wait(bench, 0.01)
         with pytest.raises(DeviceError, match="drive_BL timeout"):
-            bench.rig.servos.enable()
+            bench.devices.servos.enable()
         assert 1.4 < bench.clock.now_ns() / SECOND - began_s < 2.0
 
 
@@ -135,7 +135,7 @@ def test_lost_servos_come_back_in_five_worlds(kind, duration_s, at_s, seed):
     ) as bench:
         climb(bench)
         wait(bench, max(0.0, at_s + duration_s + 0.3 - bench.clock.now_ns() / SECOND))
-        assert not bench.rig.servos.look_after().trouble
+        assert not bench.devices.servos.look_after().trouble
         assert moved_from(bench, 1.0) < 2.0
     assert bench.held.state == "HELD"
 
@@ -170,7 +170,7 @@ def test_a_robot_that_came_off_is_not_held_though_every_servo_has_torque():
     with bench:
         bench.observe(0.2)
         wait(bench, 2.0 - bench.clock.now_ns() / SECOND)
-        assert not bench.rig.servos.look_after().trouble
+        assert not bench.devices.servos.look_after().trouble
     assert bench.held.state == "NOT HELD"
     assert "adhesion is lost" in bench.held.why
     assert bench.held.moved_m > 0.1
@@ -224,7 +224,7 @@ def test_a_wall_starts_held_and_release_is_reported():
 def test_torque_that_was_switched_off_is_a_loss_unless_the_bench_was_asked(on_purpose):
     with hil.open_bench("emulated", seed=1, overrides={"safety.tethered": True}) as bench:
         wait(bench, 0.2)
-        (bench if on_purpose else bench.rig.servos).release()
+        (bench if on_purpose else bench.devices.servos).release()
         wait(bench, 0.5)
     assert (bench.held.state, bench.held.lost) == ("NOT HELD", not on_purpose)
     assert "torque was switched off" in bench.held.why
@@ -267,12 +267,12 @@ def test_with_the_bus_away_the_wheels_rest_within_200_ms():
 def test_wheels_that_a_program_forgot_come_to_rest_and_stay_looked_after():
     with hil.open_bench("emulated", seed=1, overrides=FANLESS) as bench:
         steering = np.zeros(4)
-        bench.rig.servos.command(hil.core.signals.ServoSetpoint(np.full(4, 1.0), steering))
+        bench.devices.servos.command(hil.core.signals.ServoSetpoint(np.full(4, 1.0), steering))
         wait(bench, 0.05)
         assert bench.truth().joint_velocity_rad_s[:4].min() > 0.3
         wait(bench, 0.25)
         assert np.abs(bench.truth().joint_velocity_rad_s[:4]).max() < 0.02
-        assert not bench.rig.servos.look_after().trouble
+        assert not bench.devices.servos.look_after().trouble
 
 
 def test_an_enable_that_fails_is_made_good_when_the_servos_come_back():
@@ -280,7 +280,7 @@ def test_an_enable_that_fails_is_made_good_when_the_servos_come_back():
         bench.world.faults.add(parse_fault(f"servos:brownout@{bench.clock.now_ns() / SECOND}+2.5"))
         wait(bench, 0.01)
         with pytest.raises(HilError):
-            bench.rig.servos.enable()
+            bench.devices.servos.enable()
         wait(bench, 1.3)
         assert moved_from(bench, 0.5) < 2.0
         assert bench.look().state == "HELD"

@@ -45,11 +45,11 @@ def test_on_a_tether_no_sensor_has_to_see_a_slide_and_the_word_says_so():
     blind = ("tracker", "mocap", "adhesion", "load_cells", "thrust")
     said = "; on its tether, so no sensor has to see whether it slides"
     with hil.open_bench("emulated", seed=1, overrides=dict.fromkeys(blind) | TETHER) as bench:
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
     assert bench.held.state == "HELD"
     assert said in bench.held.why
     with hil.open_bench("emulated", seed=1, overrides=TETHER) as bench:
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
     assert bench.held.state == "HELD"
     assert said not in bench.held.why
 
@@ -241,7 +241,7 @@ def test_a_driver_that_raises_what_it_may_not_leaves_the_looking_to_the_others(m
     bench = hil.open_bench("emulated", seed=5)
     with bench:
         bench.drive(line((0, 0, 0), (0.02, 0, 0), duration_s=1.0), start_pose=np.zeros(3), hold_s=0.1)
-        monkeypatch.setattr(bench.rig.get("tracker"), "read", lambda: 1 / 0)
+        monkeypatch.setattr(bench.devices.get("tracker"), "read", lambda: 1 / 0)
     assert bench.held.state == "HELD"
     assert "camera" not in bench.held.why
     assert "tracker: its driver failed" in caplog.text

@@ -56,7 +56,7 @@ def test_a_stop_ends_the_faults_before_the_robot_is_judged():
     with bench_with("servos:silent@3") as bench:
         with pytest.raises(SafetyStop, match="stale_servos"):
             bench.drive(line((0, 0, 0), (0.2, 0, 0), duration_s=6.0), feedback="ekf")
-        assert Status.TIMEOUT not in bench.rig.get("servos").read()[0].status  # the link is whole again
+        assert Status.TIMEOUT not in bench.devices.get("servos").read()[0].status  # the link is whole again
     assert bench.held.state == "HELD"
     (row,) = bench.injection.report()
     assert (row["at"], row["begun_s"]) == ("link", 3.0)
@@ -67,7 +67,7 @@ def test_a_stop_ends_the_faults_before_the_robot_is_judged():
 def test_a_stop_ends_the_faults_before_it_stops_the_wheels(monkeypatch):
     seen = []
     with bench_with("servos:silent@3") as bench:
-        servos = bench.rig.servos
+        servos = bench.devices.servos
         stop = servos.stop
 
         def read_and_stop():
@@ -188,7 +188,7 @@ def test_a_robot_that_goes_too_far_with_faults_is_stopped_whatever_drives_it(spe
     with bench_with(*specs) as bench:
         start = RunStart(bench.start_state((0, 0, 0)), "ekf", bench.config.control.law, (), goal.to_mapping())
         pipeline = bench.make_pipeline(goal, feedback="ekf")
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
         with pytest.raises(SafetyStop, match="since its first motion"):
             bench.run(pipeline, start, lambda record: False)
         gone_m = bench.truth().pose_body_in_wall[0]
@@ -228,7 +228,7 @@ def test_served_devices_that_count_as_real_have_faults_at_their_links():
         faults = ("imu:silent@8+0.5", "mocap:drop@8+1,probability=0.5")
         with hil.open_bench("emulated_floor", overrides=overrides, faults=faults, inject_real=True) as bench:
             while bench.world_ns < 10_000_000_000:
-                bench.rig.read(0)
+                bench.devices.read(0)
                 bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
     finally:
         child.terminate()

@@ -146,7 +146,7 @@ def test_an_exit_that_releases_does_not_where_the_imu_shows_a_wall():
     for name, mount in (("level", {}), ("wall", STANDS_UP)):
         with hil.open_bench("emulated_floor", overrides={"exit.policy": "release", **mount}) as bench:
             bench.observe(0.3)
-            bench.rig.servos.enable()
+            bench.devices.servos.enable()
             bench.on_close(lambda bench=bench, name=name: kept.__setitem__(name, bench.held.why))
     assert "torque was released" in kept["level"]
     assert "torque was released" not in kept["wall"]
@@ -176,7 +176,7 @@ def test_on_the_floor_a_robot_drives_by_its_wheels_with_an_imu_that_is_a_little_
 def test_a_broken_imu_does_not_undo_what_it_had_shown(fault, mount, state):
     with hil.open_bench("emulated_floor", overrides=mount, faults=[f"imu:{fault}"]) as bench:
         bench.observe(0.8)
-        bench.rig.servos.enable()
+        bench.devices.servos.enable()
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 500_000_000)
     assert bench.held.state == state
 

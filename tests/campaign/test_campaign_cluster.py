@@ -49,7 +49,7 @@ class Parameters:
 def run(ctx: Context) -> None:
     """Hold for a moment."""
     with ctx.step("rest"):
-        ctx.bench.rig.servos.enable()
+        ctx.bench.devices.servos.enable()
         seen = ctx.bench.observe(ctx.parameters.hold_s, feedback="odometry").mocap[:, 0]
     ctx.measure("drift", MM_PER_M * float(np.nanmax(seen) - np.nanmin(seen)))
     ctx.measure("radius", MM_PER_M * float(ctx.bench.geometry.radius_m[0]))

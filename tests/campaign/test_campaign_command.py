@@ -49,7 +49,7 @@ def run(ctx: Context) -> None:
     if ctx.seed == ctx.parameters.asks:
         ctx.prompt("is the robot on the wall?")
     with ctx.step("rest"):
-        ctx.bench.rig.servos.enable()
+        ctx.bench.devices.servos.enable()
         seen = ctx.bench.observe(0.3, feedback="odometry").mocap[:, 0]
     ctx.measure("drift", 1e3 * float(np.nanmax(seen) - np.nanmin(seen)))
     ctx.measure("gained", ctx.parameters.gain * ctx.seed)

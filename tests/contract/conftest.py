@@ -32,7 +32,7 @@ def pytest_configure(config):
 
 @pytest.fixture
 def servos(bench):
-    found = bench.rig.servos
+    found = bench.devices.servos
     if found is None:
         pytest.skip(f"bench {bench.config.name} has no servos")
     found.open()

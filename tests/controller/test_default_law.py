@@ -12,7 +12,7 @@ def test_across_the_wall_it_keeps_to_its_line_and_rests_at_the_end():
         start = bench.settle(0.3)
         way = line(start, np.add(start, [0.0, 0.45, 0.0]), duration_s=9.0)
         motion = bench.drive(way, start_pose=start, hold_s=1.5)
-        bench.rig.actuators().close()
+        bench.devices.actuators().close()
     moving = np.array([not r.reference.done for r in motion.records])
     off = (motion.reference - motion.estimate)[moving, 0]
     assert np.sqrt(np.mean(off**2)) <= 0.45e-3

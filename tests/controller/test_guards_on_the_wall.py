@@ -21,7 +21,7 @@ def open_wall(faults=(), **overrides):
     dotted = {key.replace("__", "."): value for key, value in overrides.items()}
     with open_bench("emulated", seed=0, faults=faults, overrides=dotted) as bench:
         yield bench
-        bench.rig.actuators().close()  # `assert_held` has looked
+        bench.devices.actuators().close()  # `assert_held` has looked
 
 
 def drive(bench, length_m=0.25, duration_s=6.0, start=ORIGIN, **options):

@@ -29,7 +29,7 @@ class Ride:
                 self.stop = error
             self.ended_s = self.bench.clock.now_ns() * 1e-9
             self._measure()
-            self.bench.rig.actuators().close()  # whether it stays held is not asked here
+            self.bench.devices.actuators().close()  # whether it stays held is not asked here
 
     def look(self, record):
         self.events += record.events
@@ -117,7 +117,7 @@ def test_a_camera_that_was_frozen_before_the_loop_began_is_named_at_once(at_s):
         bench.clock.sleep_until_ns(1_000_000_000)
         began_s, events = bench.clock.now_ns() * 1e-9, []
         bench.observe(0.5, on_cycle=lambda record: events.extend(record.events))
-        bench.rig.actuators().close()
+        bench.devices.actuators().close()
     reported_s = [e.t_ns * 1e-9 for e in events if e.source == "tracker" and "frozen" in e.message]
     assert reported_s
     assert reported_s[0] < began_s + 0.3
@@ -346,7 +346,7 @@ def test_a_stop_by_disagreement_is_replayed(tmp_path):
         bench.add_sink(McapRecorder(str(path), bench.header(), lossless=True))
         with pytest.raises(SafetyStop, match="sensors_disagree"):
             bench.drive(straight(UP), start_pose=ORIGIN)
-        bench.rig.actuators().close()
+        bench.devices.actuators().close()
     opened = open_recording(path)
     (run,) = opened.runs
     *reported, last = [e.source for r in run.records for e in r.events]

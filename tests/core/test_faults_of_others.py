@@ -35,12 +35,12 @@ def reported(bench_name, cycles, rate_hz, faults=()):
     """What all devices say in a while, what the robot does, and how the world's clock stood."""
     seen = []
     with hil.open_bench(bench_name, seed=5, faults=faults) as bench:
-        actuators, deadline_ns = bench.rig.actuators(), bench.clock.now_ns()
+        actuators, deadline_ns = bench.devices.actuators(), bench.clock.now_ns()
         actuators.enable()
         for k in range(cycles):
             bench.clock.sleep_until_ns(deadline_ns)
             try:
-                seen.append(bits(bench.rig.read(k)))
+                seen.append(bits(bench.devices.read(k)))
                 actuators.command(ServoSetpoint(np.full(4, 0.02 * k), np.full(4, 0.002 * k)))
             except HilError as error:
                 seen.append(str(error))

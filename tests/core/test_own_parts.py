@@ -75,7 +75,7 @@ def run(bench, cycles=20, observers=None, **parts):
     for name, part in parts.items():
         setattr(pipeline, name, part)
     pipeline.observers = observers or {}
-    bench.rig.actuators().enable()
+    bench.devices.actuators().enable()
     records = []
 
     def until(record):

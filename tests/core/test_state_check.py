@@ -104,4 +104,4 @@ def test_an_estimator_that_says_it_never_moved_does_not_get_far(monkeypatch, est
             bench.drive(WAY, start_pose=np.zeros(3))
         assert stop.value.reason == reason
         assert abs(bench.truth().pose_body_in_wall[0]) < 0.005
-        bench.rig.actuators().close()
+        bench.devices.actuators().close()

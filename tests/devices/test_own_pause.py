@@ -27,7 +27,7 @@ def test_time_in_which_nothing_asked_is_no_silence_of_the_device(tmp_path, kind,
     path = tmp_path / "bench.toml"
     path.write_text(f'schema = 1\nname = "x"\n[{kind}]\nmodel = "{model}"\nbackend = "emulated"\n')
     with hil.open_bench(path, faults=[f"{kind}:off@6"]) as bench:
-        device, fail_s = bench.rig.get(kind), getattr(bench.config, kind).fail_after_s
+        device, fail_s = bench.devices.get(kind), getattr(bench.config, kind).fail_after_s
         clock = bench.clock
 
         def asked_for(seconds):

@@ -23,7 +23,7 @@ def anew(sample):
 
 
 def twice(bench, kind, again):
-    device = bench.rig.get(kind)
+    device = bench.devices.get(kind)
     read = device.read
     device.read = lambda: tuple(one for s in read() for one in (s, again(s)))
 

@@ -149,7 +149,7 @@ def test_a_check_of_the_kind_stops_for_the_one_that_it_is_about(file, ranges, mo
 def test_a_second_one_draws_no_random_number_of_the_first(file):
     def serials(tables):
         with hil.open_bench(file(tables), seed=4) as bench:
-            return [device.identity()["serial"] for device in bench.rig.devices()]
+            return [device.identity()["serial"] for device in bench.devices.devices()]
 
     alone = serials('[rangefinder]\nbackend = "emulated"\n')
     first, second = serials(RANGES.partition("[emulation")[0].replace("front", "rangefinder"))
@@ -207,7 +207,7 @@ def test_the_doctor_has_a_word_for_each(file):
 @pytest.mark.real_time
 def test_at_the_wire_each_has_a_place_of_its_own(file):
     with hil.open_bench(file(IMUS), realtime=True, overrides={"imu.fail_after_s": 30.0}) as bench:
-        places = [bench.rig.get(name).identity()["port"] for name in ("imu", "imu_arm")]
+        places = [bench.devices.get(name).identity()["port"] for name in ("imu", "imu_arm")]
         records = bench.observe(0.5, feedback="odometry").records
     assert len(set(places)) == 2
     assert all(samples(records, name) for name in ("imu", "imu_arm"))

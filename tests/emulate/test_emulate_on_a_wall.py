@@ -51,7 +51,7 @@ def test_torque_holds_it_and_without_torque_it_slides():
         robot = EmulatedSupport(bench.config, bench.world, servos=True)
         bench.observe(1.0)
         assert robot.at_the_end().startswith("at the end HELD: ")
-        bench.rig.servos.release()
+        bench.devices.servos.release()
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_000_000_000)
         assert re.fullmatch(
             r"at the end NOT HELD: the robot (slides at \d+ mm/s|has left its wall), \d+ mm from .*",

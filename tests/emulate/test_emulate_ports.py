@@ -157,7 +157,7 @@ def test_a_bench_reads_an_emulated_server_whose_ports_it_names(bench_file, realt
         bench = hil.open_bench(file, realtime=realtime)
         stack.callback(bench.close)
         bench.begin()
-        mocap = bench.rig.get("mocap")
+        mocap = bench.devices.get("mocap")
         mocap.open()
         stack.callback(mocap.close)
         seen = []

@@ -19,7 +19,7 @@ def recording(tmp_path_factory):
     """A short line across the wall, recorded by the bench in virtual time."""
     path = tmp_path_factory.mktemp("wall") / "line.mcap"
     with hil.open_bench("emulated", seed=3) as bench:
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
         start = bench.settle(0.5)
         bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
         bench.drive(

@@ -96,7 +96,7 @@ def folder(tmp_path_factory):
     (folder / "mine.py").write_text(MINE)
     (folder / "broken.py").write_text("x = (\n")
     with hil.open_bench("emulated_floor", seed=3) as bench:
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
         start = bench.settle(0.3)
         bench.add_sink(McapRecorder(folder / "line.mcap", bench.header(), lossless=True))
         bench.drive(line(start, start + np.array([0.05, 0.0, 0.0]), duration_s=2.0), start_pose=start)

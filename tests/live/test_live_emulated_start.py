@@ -71,7 +71,7 @@ def test_a_bench_that_opens_late_finds_the_robot_where_it_was_put():
     bench = hil.open_bench("emulated", seed=1, realtime=True, overrides=FANLESS)
     bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND)
     with bench:
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
         pose = bench.settle()
     assert np.hypot(*pose[:2]) < 0.1
 
@@ -80,7 +80,7 @@ def test_what_waited_while_the_bench_opened_and_paused_is_no_restart(caplog):
     """Sensors' data pile up before the first cycle and between two runs; asked ahead at 200 Hz, too."""
     overrides = {**FANLESS, "loop.rate_hz": 200.0, "servos.prefetch": True}
     with hil.open_bench("emulated", seed=1, realtime=True, overrides=overrides) as bench:
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
         for _ in range(2):
             bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND)
             motion = bench.observe(0.5)

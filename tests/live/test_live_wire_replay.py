@@ -91,7 +91,7 @@ def test_drivers_and_estimator_see_the_recorded_motion(tmp_path):
     with hil.open_bench("emulated_floor", seed=3, overrides=overrides) as bench:
         start = bench.settle()
         seen = bench.observe(AFTER_S + 7.5, feedback="ekf", start_pose=start)
-        last = bench.rig.servos.read()[-1]
+        last = bench.devices.servos.read()[-1]
     assert seen.estimate[-1][2] == pytest.approx(0.4, abs=0.01)
     assert np.hypot(*seen.estimate[-1][:2]) < 0.01
     mocap = seen.mocap[np.isfinite(seen.mocap[:, 0])]

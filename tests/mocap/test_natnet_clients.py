@@ -88,4 +88,4 @@ def test_the_data_port_of_a_host_gets_each_frame_once_however_many_clients_it_ha
 
 def test_the_bench_file_says_which_version_the_server_speaks():
     with hil.open_bench("emulated", overrides={"emulation.mocap.natnet": "3.1"}) as bench:
-        assert bench.rig.get("mocap").identity()["natnet"] == "3.1"
+        assert bench.devices.get("mocap").identity()["natnet"] == "3.1"

@@ -24,14 +24,14 @@ def test_lost_on_purpose(bench):
     wait(bench, 2.0)
 
 def test_lost(bench):
-    bench.rig.get("adhesion").set_duty(0.05)
+    bench.devices.get("adhesion").set_duty(0.05)
     wait(bench, 3.0)
 
 def test_kept(bench):
     pass
 
 def test_torque_off(bench):
-    bench.rig.servos.release()
+    bench.devices.servos.release()
     wait(bench, 0.5)
 """
 

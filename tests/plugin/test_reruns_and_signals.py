@@ -23,7 +23,7 @@ def test_flaky(bench):
     ATTEMPTS.append(bench)
     bench.observe(0.2, feedback="odometry")
     if len(ATTEMPTS) == 1:
-        bench.rig.servos.release()
+        bench.devices.servos.release()
         bench.observe(0.3, feedback="odometry")
         pytest.fail("the first attempt")
 

@@ -49,7 +49,7 @@ def steered(ctx):
     way = line(bench.start_state().pose_body_in_wall, [0.1, 0, 0], duration_s=3)
     pipeline = bench.make_pipeline(way)
     pipeline.controller = Follows()
-    bench.rig.actuators().enable()
+    bench.devices.actuators().enable()
     start = RunStart(bench.start_state(bench.settle()), "ekf", trajectory=way.to_mapping())
     bench.run(pipeline, start, lambda record: False)
 """

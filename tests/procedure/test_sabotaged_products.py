@@ -36,7 +36,7 @@ def test_a_product_that_lets_go_is_seen_under_every_word(monkeypatch):
 
     def let_go(self, limit_s, **how):
         held = looked(self, limit_s, **how)
-        self._rig.servos.release()
+        self._devices.servos.release()
         return replace(held, state="not needed")
 
     monkeypatch.setattr(HoldMonitor, "look", let_go)

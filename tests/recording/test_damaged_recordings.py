@@ -73,7 +73,7 @@ def driven(tmp_path_factory):
     bench = open_bench("emulated_floor")
     bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
     with bench:
-        bench.rig.actuators().enable()
+        bench.devices.actuators().enable()
         for _ in range(3):
             start = bench.settle(0.1)
             bench.drive(line(start, start + np.array([0.05, 0.0, 0.0]), duration_s=1.5), start_pose=start)

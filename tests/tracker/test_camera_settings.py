@@ -189,7 +189,7 @@ def test_what_is_no_calibration_is_not_taken(text):
 
 def test_a_whole_bench_reports_its_camera_of_its_wheels():
     with hil.open_bench("emulated", overrides={"tracker.wheel_odometry": True}) as bench:
-        tracker = bench.rig.sensors["tracker"]
+        tracker = bench.devices.sensors["tracker"]
         bench.settle(0.5)
         camera = tracker._given._camera
         assert camera.wheels.taken > 20

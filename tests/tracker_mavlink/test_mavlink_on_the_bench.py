@@ -125,7 +125,7 @@ def test_the_emulator_serves_it_where_the_bench_file_says(tmp_path):
 def test_ids_and_frame_of_the_bench_file_are_those_of_the_emulated_sender():
     overrides = {**MODEL, "tracker.system_id": 9, "tracker.frame": "LOCAL_NED", "tracker.rate_hz": 50.0}
     with hil.open_bench("emulated", seed=1, overrides=overrides) as bench:
-        tracker = bench.rig.get("tracker")
+        tracker = bench.devices.get("tracker")
         assert tracker.identity()["system"] == "9"
         assert tracker.identity()["frames"] == "LOCAL_NED, BODY_FRD"
 

@@ -36,4 +36,4 @@ def test_it_holds_itself_when_the_inertial_unit_falls_silent(bench):
 @pytest.mark.needs("servos")
 def test_the_firmware_is_the_one_we_released(bench):
     """Skipped on emulated servos, and says so."""
-    assert set(bench.rig.servos.identity()["firmware"].split(", ")) == {"46"}
+    assert set(bench.devices.servos.identity()["firmware"].split(", ")) == {"46"}

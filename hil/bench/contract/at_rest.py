@@ -1,7 +1,5 @@
 """Contract checks of a device while nothing is commanded: identity, reopening, stamps, missing data."""
 
-from __future__ import annotations
-
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import fields

@@ -4,8 +4,6 @@ This is all that can be measured on a stand. The delay from a command to the mot
 error of each device, are measured by the procedure `latency` with the robot on its wheels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -90,7 +88,7 @@ def delays_in_motion(bench: Bench) -> Iterator[Finding]:
         Broken, DeviceError: nothing could be measured.
     """
     steering, encoders, wheels = list[float](), list[float](), list[float]()
-    if (sensor := bench.rig.get("encoders")) is not None:
+    if (sensor := bench.devices.get("encoders")) is not None:
         sensor.close()  # discard samples from before this read
         sensor.open()
     with enabled(bench) as start:
@@ -147,7 +145,7 @@ def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
 
 def _watch(bench: Bench, setpoint: ServoSetpoint) -> dict[str, tuple[Array, Array]]:
     """Command once a cycle; return times from the start (s) and mean steering angles (rad), by device."""
-    servos, sensor = bench.rig.servos, bench.rig.get("encoders")
+    servos, sensor = bench.devices.servos, bench.devices.get("encoders")
     assert servos is not None
     before = fresh(bench)
     rows: dict[str, list[tuple[int, float]]] = {"servos": [], "encoders": []}
@@ -188,7 +186,7 @@ def _mean_delay_s(t_s: Array, angle_rad: Array) -> float:
 
 def _rolling_delay_s(bench: Bench, start: ServoSample, rate_rad_s: float) -> float:
     """Delay of the wheels, s: where the line fitted to their steady rotation meets their angle at rest."""
-    servos = bench.rig.servos
+    servos = bench.devices.servos
     assert servos is not None
     rest = float(at_loop_rate(bench, 0.4, still(start)).drive_rad.mean())
     began_ns = next_ns = bench.clock.now_ns()

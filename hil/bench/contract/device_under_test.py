@@ -1,7 +1,5 @@
 """The device under check, the samples that it delivered, and the error of a broken contract."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -72,7 +70,7 @@ class Subject:
     @property
     def device(self) -> Any:
         """The driver of the device."""
-        return self.bench.rig.get(self.kind)
+        return self.bench.devices.get(self.kind)
 
     @property
     def not_measured(self) -> tuple[str, ...]:

@@ -5,8 +5,6 @@ new bench with the same seed, and moves wheels and steering if there are any; it
 those of the same run without a fault.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
@@ -80,7 +78,7 @@ _BORNE = ("duplicate",)
 
 
 def _watched(bench: Bench, kind: str) -> Iterator[Any]:
-    device, servos = bench.rig.get(kind), bench.rig.servos
+    device, servos = bench.devices.get(kind), bench.devices.servos
     opened: list[Any] = []
     try:
         for one in dict.fromkeys((device, servos)):

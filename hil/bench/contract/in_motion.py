@@ -4,8 +4,6 @@ Every check takes a bench whose servos are open, ends with wheels at rest and to
 steering angles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, cast
@@ -250,7 +248,7 @@ def _restarts(bench: Bench) -> Mapping[str, int]:
 
 
 def _servos(bench: Bench) -> Any:
-    return bench.rig.servos
+    return bench.devices.servos
 
 
 def _table(bench: Bench) -> ServosConfig:

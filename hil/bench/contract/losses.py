@@ -4,8 +4,6 @@ Late samples are not lost. In real time a device may be watched several times, a
 this computer is too busy, missing samples do not count against the device.
 """
 
-from __future__ import annotations
-
 from hil.bench.contract.delays import BUSY_SHARE, idle_for
 from hil.bench.contract.device_under_test import SHARE, Broken, Subject, due, read_for
 from hil.core.registry import kinds

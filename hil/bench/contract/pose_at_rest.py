@@ -1,7 +1,5 @@
 """Checks that position sensors (camera, motion capture) report no motion of a resting robot."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.bench.contract.device_under_test import Broken, Subject, read_for

@@ -1,7 +1,5 @@
 """The fan's force by its controller and by the load cells: what each says about the other's keys."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -6,8 +6,6 @@ frame whose x axis points up the wall, and the bench file gives the tilt. Of the
 contradict is wrong; of two that differ either may be. A rotation about the vertical shows in none of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The parameters of one bench, and what measurements have said about each of them so far."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any

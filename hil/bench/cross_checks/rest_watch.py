@@ -1,7 +1,5 @@
 """Collects samples of a robot that rests or has just begun to move, until gravity can be compared."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

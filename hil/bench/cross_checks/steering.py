@@ -1,7 +1,5 @@
 """Steering servos against external encoders at rest: their zeros have to fit together."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Opens a bench for the doctor without devices whose drivers cannot be made; each becomes a finding."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -6,8 +6,6 @@ not probed (`hil.bench.doctor.protected_ports`). The requests that are
 written to the other ports can be listed before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

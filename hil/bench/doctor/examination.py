@@ -8,8 +8,6 @@ is its variance divided by the variance that the estimator assumes; with the noi
 long as the sensor has not changed.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -176,7 +174,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         yield from host_findings(bench.config, host)
         bench.begin()
         yield from _calibration(bench)
-        for name in dict.fromkeys((*bench.rig.sensors, *bench.config.devices())):
+        for name in dict.fromkeys((*bench.devices.sensors, *bench.config.devices())):
             kind = base_of(name)
             for found in _examine_one(bench, name, watch_s, host, seen):
                 yield replace(found, device=name) if found.device == kind else found
@@ -212,7 +210,7 @@ def _examine_one(
     bench: Bench, kind: str, watch_s: float, host: Host, seen: dict[str, list[Any]]
 ) -> Iterator[Finding]:
     """Findings about one device; `seen` receives its samples."""
-    device = bench.rig.get(kind)
+    device = bench.devices.get(kind)
     reported = list(_latency_timer(bench, kind, host))
     yield from reported
     try:

@@ -5,8 +5,6 @@ their difference at rest is the rotation of the IMU, or of the rigid body of mot
 while no program ran. The turn rate of a robot at rest is the gyro's bias.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 

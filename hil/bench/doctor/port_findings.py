@@ -4,8 +4,6 @@ The USB tree is read from `/sys` of Linux: which device is behind a port, on whi
 udev rules set latency timer and access rights, and protect the adapters from suspend and other programs.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

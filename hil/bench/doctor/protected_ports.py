@@ -5,8 +5,6 @@ error and slow down. So discovery does not write to a port that another program 
 assigns to a device that holds the robot, or whose adapter is such a device by its USB ids.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator, Mapping, Sequence

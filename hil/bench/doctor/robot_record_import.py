@@ -1,7 +1,5 @@
 """Imports calibrations, bench-file fragments, parts or another record into a robot's record."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

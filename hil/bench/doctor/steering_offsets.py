@@ -4,8 +4,6 @@ The two angles are measured independently, so their difference does not depend o
 changes when a horn or an encoder has slipped, even while no program ran.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -11,8 +11,6 @@ may not have understood the command: they count once the robot has been at rest 
 to let it slide (`hil.bench.hold.propeller_handover`). Load cells do not measure their push.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -78,7 +76,7 @@ class AdhesionForceCheck:
     """Monitors fan and load cells of a robot that has been stopped on a wall.
 
     Args:
-        rig: devices of the bench.
+        devices: devices of the bench.
         limits: required forces; None where no device reports a force, or the robot cannot fall.
         fan: the fan's settings, if its controller stops the motor at a timeout.
         alone: check of propellers that report nothing.
@@ -95,7 +93,7 @@ class AdhesionForceCheck:
 
     def __init__(
         self,
-        rig: DeviceSet,
+        devices: DeviceSet,
         limits: AdhesionLimits | None,
         fan: DaemonMotorConfig | None,
         alone: PropellerObservation,
@@ -104,7 +102,7 @@ class AdhesionForceCheck:
         push_keys: Sequence[str] = (),
         blind: Sequence[str] = (),
     ) -> None:
-        self._rig, self._limits, self._pretended = rig, limits, tuple(pretended)
+        self._devices, self._limits, self._pretended = devices, limits, tuple(pretended)
         self._measures = tuple(name for name in MEASURES if name not in blind)
         self._outlasts_ns = nanoseconds(RUN_DOWN_S + (0.0 if fan is None else fan.timeout_s))
         self._stale_ns = 0 if limits is None else nanoseconds(limits.stale_s)
@@ -308,7 +306,7 @@ class AdhesionForceCheck:
         return {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
 
     def _samples(self, name: str) -> Sequence[Any]:
-        device = self._rig.get(name)
+        device = self._devices.get(name)
         try:
             return () if device is None else device.read()
         except HilError:
@@ -322,7 +320,7 @@ def _to_be_seen(left_s: float) -> str:
     return "no sensor sees whether it slides, or knows how long they would need to let it"
 
 
-def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
+def press_watch(config: BenchConfig, devices: DeviceSet) -> AdhesionForceCheck:
     """Make the check for a bench whose robot hangs on a wall without a tether.
 
     Devices in another world than the servos are left out: they do not press this robot.
@@ -336,5 +334,5 @@ def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
     carried = carried and not isinstance(own, DaemonMotorConfig)
     push_keys = () if own is None else own.push_keys
-    alone = PropellerObservation(rig, own, asked_n)
-    return AdhesionForceCheck(rig, limits, kept, alone, carried, pretended, push_keys, blind)
+    alone = PropellerObservation(devices, own, asked_n)
+    return AdhesionForceCheck(devices, limits, kept, alone, carried, pretended, push_keys, blind)

@@ -1,7 +1,5 @@
 """Decides when a camera that alone sees a stopped robot move does not count."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from hil.core.clock import nanoseconds

@@ -1,7 +1,5 @@
 """Sets the fan's force by posture, surface and tilt, with a margin, to spare the battery."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 
@@ -29,11 +27,11 @@ class ForceController(Sink):
 
     Args:
         config: configuration of a bench with a fan on a wall.
-        rig: devices of the bench.
+        devices: devices of the bench.
     """
 
-    def __init__(self, config: BenchConfig, rig: DeviceSet) -> None:
-        self._limits, self._rig = adhesion_limits(config), rig
+    def __init__(self, config: BenchConfig, devices: DeviceSet) -> None:
+        self._limits, self._devices = adhesion_limits(config), devices
         self._thrust_n = thrust_wanted_n(config)
         self._asked_n = force_wanted_n(config)
         fan = config.of(AdhesionConfig)
@@ -62,15 +60,15 @@ class ForceController(Sink):
         if abs(force_n - self._asked_n) < _CHANGE_N:
             return
         with contextlib.suppress(HilError):
-            self._rig.get("adhesion").set_force_n(force_n)
+            self._devices.get("adhesion").set_force_n(force_n)
             self._asked_n = force_n
 
     def close(self) -> None:
         """Do nothing: the fan keeps its last set-point."""
 
 
-def by_need(config: BenchConfig, rig: DeviceSet) -> tuple[Sink, ...]:
+def by_need(config: BenchConfig, devices: DeviceSet) -> tuple[Sink, ...]:
     """The sink that adjusts the force of a bench, if `adhesion.by_need` is set."""
     fan = config.of(AdhesionConfig)
     on = fan is not None and fan.by_need and config.environment.on_wall
-    return (ForceController(config, rig),) if on else ()
+    return (ForceController(config, devices),) if on else ()

@@ -4,8 +4,6 @@ Motion capture whose rigid body was redefined, and a camera that corrects its ma
 from one sample to the next. Positions before and after must not be subtracted.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator

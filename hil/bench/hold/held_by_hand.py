@@ -3,8 +3,6 @@
 From then on it slides without torque, as a real robot does.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Opens and closes devices and sinks of a bench together, and keeps the robot held in every case."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -41,13 +39,13 @@ class HeldDevices:
         self,
         model: BenchModel,
         clock: Clock,
-        rig: DeviceSet,
+        devices: DeviceSet,
         *,
         sinks: tuple[Sink, ...],
         faults: tuple[Fault, ...],
         injection: Injection | None = None,
     ) -> None:
-        self.model, self.clock, self.rig = model, clock, rig
+        self.model, self.clock, self.devices = model, clock, devices
         self.config, self.geometry = model.config, model.geometry
         self.seed, self.calibration = model.seed, model.calibration
         self.parameters = Parameters(model.config)
@@ -58,7 +56,7 @@ class HeldDevices:
         self.faults = faults
         self.injection = Injection(self.config, clock) if injection is None else injection
         self.injection.follow(lambda: self.world_ns)
-        rig.disarm = self.injection.disarm
+        devices.disarm = self.injection.disarm
         self._is_open = False
         self._begun_ns: int | None = None
         self._clock_description: dict[str, object] | None = None
@@ -66,7 +64,7 @@ class HeldDevices:
         self._looked_ns: int | None = None
         self.pressed = ""
         self.seen = SeenEvents(self._since_begun_ns)
-        self._hold = HoldMonitor(model, rig, clock, self.seen.add)
+        self._hold = HoldMonitor(model, devices, clock, self.seen.add)
         self._sinks = [*sinks, self.seen]
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []
@@ -75,21 +73,21 @@ class HeldDevices:
         try:
             self.begin()
             limits = None if self.waits_for_sensors else fail_limits(self.config)
-            self.rig.sensors = reconnecting(self.rig.sensors, self.clock, limits)
-            self.rig.open()
+            self.devices.sensors = reconnecting(self.devices.sensors, self.clock, limits)
+            self.devices.open()
         except BaseException as error:
             self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")
             self._let_go()
             raise
-        self._stack.callback(self.rig.close)
+        self._stack.callback(self.devices.close)
         self._is_open = True
         self._not_looked_at("the bench is open, and bench.look() was not called")
         try:
-            self.pressed = Preload(self.config, self.rig, self.clock).hold()
+            self.pressed = Preload(self.config, self.devices, self.clock).hold()
             self._sinks += [*self.injection.sinks()]
-            self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self.model, self.rig)]
-            if self.on_wall and self.rig.servos is not None:
-                self.rig.servos.enable()
+            self._sinks += [*by_need(self.config, self.devices), *wheel_feed(self.model, self.devices)]
+            if self.on_wall and self.devices.servos is not None:
+                self.devices.servos.enable()
         except BaseException:
             self.close()
             raise
@@ -109,12 +107,12 @@ class HeldDevices:
             self._closed_ns = self.clock.now_ns()
         self.injection.disarm()
         try:
-            if self.rig.servos is not None and self.rig.servos.identity():
+            if self.devices.servos is not None and self.devices.servos.identity():
                 self.held = self._hold.unseen("ended before the hold was checked")
-                self.rig.servos.stop()
+                self.devices.servos.stop()
                 self.held = self._hold.look(self.config.exit.look_after_s, for_good=True)
                 if self.config.exit.policy == "release" and not self._steeper():
-                    self.rig.servos.release()
+                    self.devices.servos.release()
                     self.held = self._hold.released()
                 self._looked_ns = self.clock.now_ns()
                 self._note(self._looked_ns, HELD_NOTE, self.held.to_json())
@@ -230,7 +228,7 @@ class HeldDevices:
 
     def has(self, name: str) -> bool:
         """Whether the bench has a device of this kind."""
-        return self.rig.get(name) is not None
+        return self.devices.get(name) is not None
 
     def _steeper(self) -> str:
         """Why an untethered robot must not be released although the bench file has a floor; else empty."""
@@ -259,14 +257,14 @@ class HeldDevices:
 
     def _not_looked_at(self, why: str) -> None:
         """Set `held` for a robot that was not checked since its devices were opened or driven."""
-        if self.rig.servos is None:
+        if self.devices.servos is None:
             self.held = untouched("the bench has no servos: the robot is as it was before")
         else:
             self.held = self._hold.unseen(why, wanted=False)
 
     def stop(self) -> None:
         """Command wheels at rest, steering held, torque on; `look` checks the result."""
-        self.rig.actuators().stop()
+        self.devices.actuators().stop()
 
     def release(self) -> None:
         """Switch torque off: on a wall the robot slides.
@@ -289,4 +287,4 @@ class HeldDevices:
             )
         self._hold.let_go()
         self._not_looked_at("torque was released")
-        self.rig.actuators().release()
+        self.devices.actuators().release()

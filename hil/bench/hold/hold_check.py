@@ -5,8 +5,6 @@ rest, and no sensor that can measure the robot's motion shows any. Until then th
 holding (`look_after`).
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import Counter, deque
@@ -129,7 +127,7 @@ class HoldMonitor(Sink):
     Args:
         model: the bench model. Devices in another world than the servos measure another robot and are not
             read.
-        rig: devices of the bench.
+        devices: devices of the bench.
         clock: the bench clock.
         tell: called with an event when the check raises fan or propellers.
 
@@ -139,17 +137,17 @@ class HoldMonitor(Sink):
     """
 
     def __init__(
-        self, model: BenchModel, rig: DeviceSet, clock: Clock, tell: Callable[[Event], None]
+        self, model: BenchModel, devices: DeviceSet, clock: Clock, tell: Callable[[Event], None]
     ) -> None:
         self._tell = tell
         config, elsewhere = model.config, model.config.elsewhere()
         self.tilt = TiltWatch(config)
-        self._press = press_watch(config, rig)
+        self._press = press_watch(config, devices)
         self._lightest_m_s2 = config.safety.adhesion_limit_m_s2
         self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
-        self._rig, self._clock = rig, clock
-        present = [k for k in kinds().values() if rig.get(k.name) is not None]
-        present += [kinds()[name] for name in further(rig.sensors) if base_of(name) not in KINDS]
+        self._devices, self._clock = devices, clock
+        present = [k for k in kinds().values() if devices.get(k.name) is not None]
+        present += [kinds()[name] for name in further(devices.sensors) if base_of(name) not in KINDS]
         able = {k.name: k for k in present if k.motion_threshold}
         self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
         self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
@@ -243,7 +241,7 @@ class HoldMonitor(Sink):
         return held
 
     def _look(self, limit_s: float, strict: bool, for_good: bool) -> Held:
-        servos = self._rig.servos
+        servos = self._devices.servos
         if servos is None or not servos.identity():
             return self.unseen("no servos are open", wanted=False)
         began_ns = self._clock.now_ns()
@@ -298,7 +296,7 @@ class HoldMonitor(Sink):
 
     def _lost_ns(self) -> int:
         """Time that this computer has lost since the last call, ns."""
-        return 0 if self._rig.lost is None else sum(self._rig.lost.take().values())
+        return 0 if self._devices.lost is None else sum(self._devices.lost.take().values())
 
     def _press_harder(self, now_ns: int, began_ns: int) -> None:
         """Raise the fan, once a check, if the force is too small or the robot slides after it has stopped.
@@ -309,14 +307,14 @@ class HoldMonitor(Sink):
         slides = bool(along_m) or (self._seen_moving and now_ns - began_ns > _STOPPED_NS)
         if self._can_fall and self._pressed_ns is None and (slides or self._press.lacks):
             self._pressed_ns = now_ns
-            self._rig.brace()
+            self._devices.brace()
             why = "the robot still moves" if slides else "the measured force is too small, or falls"
-            fan = "no fan can be raised" if self._rig.get("adhesion") is None else "the fan is raised"
+            fan = "no fan can be raised" if self._devices.get("adhesion") is None else "the fan is raised"
             self._tell(Event(now_ns, "warning", "bench", f"{why} after the stop: {fan}"))
         push = self._press.push_against(along_m) if self._can_fall else None
         if push is None:
             return
-        refused = self._rig.push(push, falls=self._falls())
+        refused = self._devices.push(push, falls=self._falls())
         if not (self._pushed or refused):
             self._pushed = True
             said = f"the robot slides after the stop: the propellers are set to {push.force_n:.1f} N"
@@ -403,7 +401,7 @@ class HoldMonitor(Sink):
     def _samples(self, name: str) -> Sequence[Any]:
         """Samples of a sensor since the last read; none if its driver raises any exception."""
         try:
-            samples: Sequence[Any] = self._rig.get(name).read()
+            samples: Sequence[Any] = self._devices.get(name).read()
         except HilError:
             return ()
         except Exception:  # raised by a driver of another package: the check continues with the others

@@ -1,7 +1,5 @@
 """Measures whether a stopped robot rests, and how far it has moved since its stop."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Collection, Mapping

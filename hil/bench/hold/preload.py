@@ -1,7 +1,5 @@
 """Presses the robot on its wall before anything moves: fan and propellers on, force measured, then servos."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -35,12 +33,12 @@ class Preload:
 
     Args:
         config: the bench configuration.
-        rig: devices of the bench, open.
+        devices: devices of the bench, open.
         clock: the bench clock.
     """
 
-    def __init__(self, config: BenchConfig, rig: DeviceSet, clock: Clock) -> None:
-        self._config, self._rig, self._clock = config, rig, clock
+    def __init__(self, config: BenchConfig, devices: DeviceSet, clock: Clock) -> None:
+        self._config, self._devices, self._clock = config, devices, clock
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}
         self._measured = None if self._limits is None else MeasuredForces(self._limits)
@@ -108,7 +106,7 @@ class Preload:
 
     def _ask(self, name: str, force_n: float) -> None:
         """Send a force set-point; retry while a daemon has no report of its motor yet."""
-        device = self._rig.get(name)
+        device = self._devices.get(name)
         if device is None:
             return
         end_ns = self._clock.now_ns() + _NO_SAMPLE_NS
@@ -209,5 +207,5 @@ class Preload:
         return self._push_n >= _PUSHES * thrust_n and not limits.pushes_too_much(self._push_n)
 
     def _samples(self, name: str) -> Any:
-        device = self._rig.get(name)
+        device = self._devices.get(name)
         return () if device is None else device.read()

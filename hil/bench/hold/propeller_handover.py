@@ -6,8 +6,6 @@ sends them nothing meanwhile, to test them without commands; a bench that contin
 because they may restart.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -29,13 +27,13 @@ class PropellerObservation:
     """Observation time of propellers without feedback.
 
     Args:
-        rig: devices of the bench.
+        devices: devices of the bench.
         propellers: settings of propellers that report nothing; None if there are none, or they have no model.
         asked_n: their force set-point, N.
     """
 
-    def __init__(self, rig: DeviceSet, propellers: ThrustConfig | None, asked_n: float) -> None:
-        self._rig, self._propellers, self._asked_n = rig, propellers, asked_n
+    def __init__(self, devices: DeviceSet, propellers: ThrustConfig | None, asked_n: float) -> None:
+        self._devices, self._propellers, self._asked_n = devices, propellers, asked_n
         self._since_ns: int | None = None
         self._seen_ns = 0
         self._for_good = False
@@ -82,13 +80,13 @@ class PropellerObservation:
         return max(needs_s - (now_ns - self._since_ns) / NS_PER_S, 0.0)
 
     def _needs_s(self, least_n: float) -> float:
-        if self._rig.get("thrust") is None:
+        if self._devices.get("thrust") is None:
             return _PAUSE_S
         known = self._propellers
         return math.inf if known is None else known.force_lost_after_s(self._asked_n, least_n)
 
     def _leave(self, *, alone: bool) -> None:
-        device = self._rig.get("thrust")
+        device = self._devices.get("thrust")
         if self._for_good and device is not None and self._propellers is not None:
             device.leave_alone(alone)
 

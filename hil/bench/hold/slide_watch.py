@@ -1,7 +1,5 @@
 """Watches a stopped robot for a slide, by camera and motion capture together."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ With a wrong bench file a robot on a wall would count as one that cannot fall. S
 mounting errors are tolerated: only a difference at which wheels alone no longer hold a robot counts.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """State in which a run left the robot, HELD or NOT HELD, as data and in words."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal

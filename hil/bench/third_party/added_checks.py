@@ -1,7 +1,5 @@
 """Runs the checks of other packages: they are tried before a run; their errors name the package."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

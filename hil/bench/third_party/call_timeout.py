@@ -9,8 +9,6 @@ Opening a device may take seconds, so it has its own limits; a user who has requ
 not wait for all of them (`leave`).
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import os

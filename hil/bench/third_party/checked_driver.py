@@ -5,8 +5,6 @@ are raised as `PackageError`, so that the loop stops the robot and the cause is 
 Values are checked against the type hints of the fields of the kind's sample.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -5,8 +5,6 @@ exception must not reach that caller. So a failed part is silent from then on, a
 world: the driver of the device raises it at the next read, and a server of emulated devices ends with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Findings of the doctor on samples of other packages that break the contract of every sensor."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Iterator, Sequence
 from itertools import pairwise

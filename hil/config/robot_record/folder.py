@@ -8,8 +8,6 @@ New content is written beside, flushed to the disk and renamed, the version in p
 is killed, the version in place is the old one or the new one, complete.
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Limits of the values in parts of a record: plain, finite, and within what their procedures pass."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -4,8 +4,6 @@ A part says both in tables of its own. A piece of a bench file says it in commen
 copied into one. A `result.json` beside either overrides how the run ended.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

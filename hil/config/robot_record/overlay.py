@@ -4,8 +4,6 @@ Noise is the exception: there the file overrides the record, because a noise tha
 is meant to stay (a preset counts as written down).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from datetime import date
 from pathlib import Path

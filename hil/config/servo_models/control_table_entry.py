@@ -1,7 +1,5 @@
 """One entry of a servo's control table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

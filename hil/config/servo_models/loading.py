@@ -1,7 +1,5 @@
 """Servo models read from the TOML files of this folder, one file per family, when first asked for."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """A servo model: its control table with units and limits, and what its motor is made of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Codes that all servos of the X series have in common: modes, baud rates, hardware errors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 

@@ -1,7 +1,5 @@
 """Table of the formats of capture files, and the reading of one file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

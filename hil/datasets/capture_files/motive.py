@@ -4,8 +4,6 @@ Format: docs.optitrack.com, "Data Export: CSV". The first line holds pairs of na
 `Frame,Time (Seconds),...` type, name and component of each column. Times count from the start of the capture.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 

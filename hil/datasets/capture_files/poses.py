@@ -1,7 +1,5 @@
 """Poses of one body as a capture file holds them, and their motion in the plane in which the robot drives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

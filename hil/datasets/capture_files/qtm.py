@@ -5,8 +5,6 @@ for each body X, Y, Z, roll, pitch, yaw, residual and the matrix, column by colu
 matrix is used, since the definition of the angles is a setting.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.errors import DataError

@@ -1,7 +1,5 @@
 """Cells of a text table as numbers, and the columns of a row of names."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

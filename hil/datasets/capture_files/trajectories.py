@@ -4,8 +4,6 @@ Formats: the TUM RGB-D benchmark's "File Formats", and the EuRoC MAV data set's 
 and `vicon0`, both in the ASL layout. Stamps are of the recorder's clock; z is up.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.datasets.capture_files.poses import Poses

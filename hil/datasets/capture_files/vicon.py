@@ -5,8 +5,6 @@ units, and the rows up to an empty one. RX, RY, RZ are helical angles: a rotatio
 quaternion. Times are frame numbers over the rate.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.core.errors import DataError

@@ -4,8 +4,6 @@ The speed for a force is converted to the controller's set-point, which measurem
 (`ForceKeeper`). A report that cannot be true is marked, and its bound named.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from abc import abstractmethod

@@ -1,7 +1,5 @@
 """Base class of models of a fan that the fan daemon commands."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from hil.core.device import Found, Search

@@ -5,8 +5,6 @@ duty and voltage; where they disagree, duty times voltage is kept as it was when
 nothing can be compared, the set-point is only raised.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

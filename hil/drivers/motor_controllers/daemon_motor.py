@@ -4,8 +4,6 @@ These drivers send no commands: a daemon does, which goes on when this program e
 set-points, and read reports from the bus, whichever program commands.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections.abc import Mapping

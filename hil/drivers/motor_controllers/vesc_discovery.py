@@ -1,7 +1,5 @@
 """Discovers VESCs on CAN buses that were named, or that the system has."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """Finds the controllers on a VESC's bus, and checks the id and the settings of the configured one."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ As in its firmware (`comm/commands.c`). Questions and answers travel in `PROCESS
 answer comes in pieces that are closed by length and checksum. The settings begin alike since firmware 5.03.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

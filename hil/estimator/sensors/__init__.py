@@ -6,8 +6,6 @@ with the same stamp are processed in this order. A sensor receives only its own 
 `row` and parameters `par`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

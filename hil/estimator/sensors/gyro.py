@@ -4,8 +4,6 @@ Two rows, each with its own variance, gate and tally. Gravity lies in the motion
 harder the body accelerates, the less certain the gravity heading is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

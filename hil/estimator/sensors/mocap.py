@@ -1,7 +1,5 @@
 """Motion capture: the pose in the wall frame. Off by default, because it is the reference for the others."""
 
-from __future__ import annotations
-
 import math
 
 from hil.config.estimator import EstimatorConfig

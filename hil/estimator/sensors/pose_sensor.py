@@ -1,7 +1,5 @@
 """Event row and intake shared by the sensors that measure a whole pose."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -9,8 +9,6 @@ prediction needs. `out` (8,) is the prediction from the state, `h` (8, 20) its d
 the quantities that the smoother carries backwards. Units are those of the state and of the rows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 

@@ -4,8 +4,6 @@ The state contains this pose as well. It moves with the pose in the wall frame, 
 drifts (`hil.estimator.process_model`). It starts at the camera's first pose and again after a jump.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -11,8 +11,6 @@ to the measured rows before the comparison; c and kappa are the remainder.
 `aux` is (dt_s, rho_m, D: m, m, rad).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Annotated, Any

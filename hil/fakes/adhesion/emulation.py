@@ -1,7 +1,5 @@
 """Connects an emulated fan: its controller on a CAN bus, commanded by a daemon in its world."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.core.device import import_object

@@ -1,7 +1,5 @@
 """Faults that every emulated inertial unit has: power, resets, heading jumps, wrong rates."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.faults.plan import DeviceFaults, FaultPlan

@@ -4,8 +4,6 @@ On a robot the daemon is a process of its own. Where world and bench share a pro
 reach the fan; so the daemon is part of the world, and the fan goes on when the bench closes or drops it.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ All numbers are assumptions except the behaviour of the controller: it clips set
 when its power stage is hot or the battery low, and releases the motor when commands stop.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

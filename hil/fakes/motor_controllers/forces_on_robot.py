@@ -1,7 +1,5 @@
 """Sums the forces of several motors on the robot and adds a tether until they can carry it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from hil.fakes.motor_controllers.initial_support import InitialSupport, Tether

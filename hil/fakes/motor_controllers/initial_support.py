@@ -1,7 +1,5 @@
 """Holding of an emulated robot at the start: by a tether, by a running fan, or none."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 InitialSupport = Literal["by use", "tethered", "running", "off"]

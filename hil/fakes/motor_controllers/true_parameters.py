@@ -1,7 +1,5 @@
 """True parameters of the emulated fan: settings of its controller, its battery, its initial state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, TypeVar

@@ -4,8 +4,6 @@ Extended identifiers, `command << 8 | id`; big endian. The driver shares no code
 checks both against the same bytes.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 

@@ -4,8 +4,6 @@ Any `SET_*` frame restarts the timeout; a ping does not. A new VESC sends no sta
 switched on. Values out of range are clipped, never rejected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import ClassVar
 

@@ -4,8 +4,6 @@ A command takes effect at the next internal step. `advance` integrates whole ste
 not depend on how a period is split.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from typing import Any

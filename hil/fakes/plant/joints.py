@@ -3,8 +3,6 @@
 They work on named records; `hil.fakes.plant.step_kernel` steps them with body and wheels.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.fakes.plant.named_numbers import (

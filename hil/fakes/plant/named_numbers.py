@@ -4,8 +4,6 @@ A robot is a block (1,) of `ROBOT`, its surface an array (m,) of `PATCH`, m >= 0
 FR, then steers; wheel order: FL BL BR FR.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from hil.core.geometry import Array

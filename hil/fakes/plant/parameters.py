@@ -3,8 +3,6 @@
 Only the plant may read them, and tests that check how well they were identified.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ a quarter of a second; emulated IMU and camera measure its derivatives. Slip, lo
 they are zero, equal shares of the weight, and zero.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

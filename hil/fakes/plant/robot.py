@@ -1,7 +1,5 @@
 """The emulated robot body with the project's own physics, and how to make one from a configuration."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple
 

@@ -14,8 +14,6 @@
 Constants `c`, state `s` and commands `q` are those of `hil.fakes.plant.named_numbers`.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.core.named_records import Records

@@ -1,7 +1,5 @@
 """Surfaces: friction, creep of the tyres on them, and patches where friction differs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from hil.core.errors import UsageError

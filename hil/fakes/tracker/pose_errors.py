@@ -1,7 +1,5 @@
 """Errors that a `wrong` fault adds to the poses of any emulated camera."""
 
-from __future__ import annotations
-
 from hil.faults.fault import Fault
 
 _WRONG_SCALE = 1.2

@@ -1,7 +1,5 @@
 """True imperfections of an emulated tracking camera: of the T265 and of that behind a MAVLink computer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

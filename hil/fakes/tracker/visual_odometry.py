@@ -8,8 +8,6 @@ One step works on flat vectors. The motion of the camera has named fields; other
 in SI units at the indices named below: error parameters, the levelled world, and the state.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The cases of the campaign of wrong values: a key, what the file says, and what is true."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Judges one case of the campaign of wrong values by what was said and what was true."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Runs doctor, bring_up and a short climb with one wrong value; collects what was said and what was true."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

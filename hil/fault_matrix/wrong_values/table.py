@@ -1,7 +1,5 @@
 """Writes the results of the campaign of wrong values: JSON, and a table for people."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

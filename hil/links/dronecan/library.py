@@ -1,7 +1,5 @@
 """Access to the optional package PyPI `dronecan`: its import, and transfers to and from frames."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.core.errors import ConfigError

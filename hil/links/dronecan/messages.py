@@ -4,8 +4,6 @@ Encoded here with the standard library only, because the process that keeps the 
 compare every byte with PyPI `dronecan`. Set-points fit into one frame, a status takes three.
 """
 
-from __future__ import annotations
-
 import binascii
 import struct
 from collections.abc import Iterator

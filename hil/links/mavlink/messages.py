@@ -7,8 +7,6 @@ enum MAV_FRAME.) Where a frame's z points down, a half turn about x makes it the
 axes: x forward, y left, z up.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The interface of a transport of packets between an odometry source and its driver."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias

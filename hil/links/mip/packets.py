@@ -4,8 +4,6 @@ A packet is `75 65 SET LENGTH fields CHECKSUM`, a field `LENGTH DESCRIPTOR data`
 counts its own two bytes and the packet's does not; numbers are big endian (MIP protocol, MIP SDK manual).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import accumulate
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The CAN interface of a VESC motor controller; `vesc.dbc` describes the same frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hil.links.vesc.messages import (

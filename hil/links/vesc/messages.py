@@ -4,8 +4,6 @@ Extended identifiers, `command << 8 | controller id`; big endian, two's compleme
 library, because the process that keeps the fan running uses it too.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass

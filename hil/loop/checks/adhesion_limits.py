@@ -1,7 +1,5 @@
 """The adhesion that a robot needs, and the forces by the samples of fan, load cells and propellers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

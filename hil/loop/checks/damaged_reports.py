@@ -5,8 +5,6 @@ that says so between two that agree is damaged: the wire is to be looked at, not
 messages have no checksum of their own need this. Deterministic: depends only on the inputs since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Mapping

@@ -4,8 +4,6 @@ Camera poses arrive tens of milliseconds late; for a comparison, the other senso
 needed.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """The response to sensors that disagree about motion: a warning, an excluded device, or a stop."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from hil.core.signals import Event

@@ -1,7 +1,5 @@
 """Excludes devices for the rest of a run when two others agree against them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hil.core.signals import Event, Measurements

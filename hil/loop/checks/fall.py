@@ -1,7 +1,5 @@
 """Detects that the robot has detached or slides, by IMU and camera."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -3,8 +3,6 @@
 Deterministic: depends only on the states since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.core.signals import WHEELS, Event, RobotState

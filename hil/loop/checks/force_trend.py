@@ -1,7 +1,5 @@
 """Estimates how quickly a force falls, from its measurements of the last quarter of a second."""
 
-from __future__ import annotations
-
 from collections import deque
 
 from hil.core.clock import NS_PER_S, nanoseconds

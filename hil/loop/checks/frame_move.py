@@ -4,8 +4,6 @@ A rigid body that was defined anew, or two markers taken for each other, move th
 and after that cannot be compared. Deterministic: depends only on the measurements since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.core.clock import NS_PER_S, nanoseconds

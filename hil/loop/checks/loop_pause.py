@@ -5,8 +5,6 @@ pause stops the robot with its own reason, and a shorter one is mentioned with t
 the kernel says was lost (`Inputs.lost_ns`) counts for no device as silence.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Collection, Mapping
 

@@ -1,7 +1,5 @@
 """Reports servos that miss many reads, though a complete read comes often enough that nothing stops."""
 
-from __future__ import annotations
-
 from hil.core.signals import SERVOS, Event, Inputs, Status
 from hil.loop.cycle_data import Check, Cycle
 

@@ -1,7 +1,5 @@
 """Stops the robot when a sensor is lost while it is driven."""
 
-from __future__ import annotations
-
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.sensor_status import SensorStatus
 from hil.loop.cycle_data import Check, Cycle

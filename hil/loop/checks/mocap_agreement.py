@@ -5,8 +5,6 @@ only by creep. It stays independent: its poses enter no estimate here. Determini
 measurements since `reset`.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Iterable

@@ -7,8 +7,6 @@ estimate. The covariance is increased by the difference, so that it covers the t
 further, the robot stops. Deterministic: depends only on the estimates and poses since `reset`.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Container

@@ -6,8 +6,6 @@ that is frozen or has another scale exceeds the limit within centimetres. Determ
 measurements since `reset`.
 """
 
-from __future__ import annotations
-
 import cmath
 from dataclasses import dataclass, replace
 

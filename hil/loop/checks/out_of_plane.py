@@ -5,8 +5,6 @@ robot seems to leave the wall, or to tip. That shows as soon as it moves across 
 about the vertical, too, whose gravity is right. Deterministic: depends only on the samples since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.core.clock import nanoseconds

@@ -1,7 +1,5 @@
 """Stops the robot when its heading or position is too far from the reference."""
 
-from __future__ import annotations
-
 import math
 
 from hil.core.errors import SafetyStop

@@ -4,8 +4,6 @@ A single lost packet is ignored; a larger share is reported once until it ends. 
 the inputs since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reports sensors that fall silent or send unusable samples: one event each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any

@@ -3,8 +3,6 @@
 Messages name the servo, its bus ID where known, the fault and the remedy.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.config.servo_models.x_series_codes import hardware_error_text

@@ -7,8 +7,6 @@ Slow slides are found by the sums of `hil.loop.checks.motion_agreement`. Determi
 measurements since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 

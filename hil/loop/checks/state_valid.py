@@ -4,8 +4,6 @@ Comparisons of an estimate with other data use its variances and its time: with 
 that stands still, they would never find a difference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@ when the horn or the servo's own encoder slips. Only settled axes are compared, 
 sampled at the same instant.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

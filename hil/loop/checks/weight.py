@@ -6,8 +6,6 @@ or propellers that push less than the bench file says, show within centimetres. 
 the samples since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

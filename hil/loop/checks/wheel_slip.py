@@ -8,8 +8,6 @@ covariance is increased from then on by a share of the distance. A wheel that ha
 not found. Deterministic: depends only on the samples since `reset`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

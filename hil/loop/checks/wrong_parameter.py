@@ -4,8 +4,6 @@ A sensor that sees every step from the start of a motion too long by one factor,
 wrong scale or mount. One that is frozen, that jumps, or that begins to differ later has not.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from typing import NamedTuple

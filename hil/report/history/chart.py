@@ -5,8 +5,6 @@ Control limits are those of Shewhart's chart of individual values: the mean of t
 the normal variation of the bench; limits describe what is allowed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

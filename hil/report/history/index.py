@@ -4,8 +4,6 @@ A folder of results may hold any files. An entry that is not a readable result i
 unfinished run, the result of another version, a page or a file from another source.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import re

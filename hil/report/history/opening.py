@@ -1,7 +1,5 @@
 """Finds the page of a result."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hil.core.errors import DataError

@@ -4,8 +4,6 @@ The drawings are SVG markup of the page and follow its theme. As in all figures,
 value.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Selects results by search words, or by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path

@@ -5,8 +5,6 @@ the journal of a run. A run inside the folder of another result is not part of i
 campaign or a commissioning that started this run.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator, Sequence

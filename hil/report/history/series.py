@@ -5,8 +5,6 @@ and emulated robot (seed). Runs of a campaign are not the history of a bench and
 without a value in the newest runs is `missing`, not `steady`.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

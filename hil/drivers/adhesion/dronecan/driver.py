@@ -1,7 +1,5 @@
 """The fan behind a DroneCAN controller: identity, and `esc.Status` as samples."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

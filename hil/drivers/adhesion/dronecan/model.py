@@ -1,7 +1,5 @@
 """A fan whose motor controller speaks DroneCAN (UAVCAN v0): a VESC in that mode, or another."""
 
-from __future__ import annotations
-
 from hil.config.dronecan import DroneCanConfig
 from hil.drivers.adhesion.daemon_fan import DaemonFan
 

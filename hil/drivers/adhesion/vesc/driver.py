@@ -1,7 +1,5 @@
 """The fan behind a VESC: identity, settings, and reports as samples."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import cast

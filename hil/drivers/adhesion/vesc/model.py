@@ -1,7 +1,5 @@
 """A fan behind a VESC on CAN."""
 
-from __future__ import annotations
-
 from hil.config.adhesion import VescConfig
 from hil.core.device import Found, Search
 from hil.drivers.adhesion.daemon_fan import DaemonFan

@@ -1,7 +1,5 @@
 """Driver of the four steering encoders: drains CAN frames and combines them to sample sets with a status."""
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ cantools reads and checks the DBC (`hil.links.dbc_file`); decoding a frame is th
 signal, a tenth of the cost of a general decode (a test compares the two).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

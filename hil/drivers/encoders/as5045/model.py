@@ -1,7 +1,5 @@
 """The model `as5045` of the kind `encoders`."""
 
-from __future__ import annotations
-
 from hil.config.encoders import EncodersConfig
 from hil.drivers.serial_and_can_models import CanModel
 

@@ -6,8 +6,6 @@ to follow a slow node clock. When a prompt frame shows that earlier ones were la
 The status message comes once a second and holds firmware, frame layout and counters.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import can

@@ -4,8 +4,6 @@ Most significant bit first: D11..D0, OCF, COF, LIN, MagINC, MagDEC, even parity 
 (ams AS5045 datasheet).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

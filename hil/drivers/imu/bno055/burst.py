@@ -4,8 +4,6 @@ Units as the driver selects them: 1/16 degree/s, 2^-14, 0.01 m/s^2 (datasheet 3.
 are singular on a vertical wall and are not used.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 

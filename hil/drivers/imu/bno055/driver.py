@@ -5,8 +5,6 @@ One burst per `read` covers gyro, quaternion, linear acceleration, gravity and c
 CONFIG mode; the driver detects that, restores mode and offsets (`bno055_setup`), and reports `Status.RESET`.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 

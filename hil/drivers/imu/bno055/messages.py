@@ -4,8 +4,6 @@ Two bytes are read first, then the rest: a plain `read(2 + n)` would wait its wh
 two-byte error reply (Bosch BNO055 datasheet 4.7). Exceptions of pyserial become `ExchangeError`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any

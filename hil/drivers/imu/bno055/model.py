@@ -1,7 +1,5 @@
 """The model `bno055` of the kind `imu`."""
 
-from __future__ import annotations
-
 from hil.config.imu import Bno055Config
 from hil.drivers.serial_and_can_models import SerialModel
 

@@ -4,8 +4,6 @@ All of it but the identification happens in CONFIG mode, which the chip is broug
 Failures raise `DeviceError`, those of a `Repair` `ExchangeError`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from hil.config.imu import Bno055Config

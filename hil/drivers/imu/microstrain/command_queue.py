@@ -4,8 +4,6 @@ A script yields the commands and takes their replies. A dialogue sends them, rep
 and restarts the script when the sensor stays silent: it may have been switched off.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Generator

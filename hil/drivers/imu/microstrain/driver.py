@@ -5,8 +5,6 @@ or sends something else is set up again while it is read, one command at a time.
 mapped to the bench clock. `filter_samples` converts its data.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping

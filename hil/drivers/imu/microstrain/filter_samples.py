@@ -6,8 +6,6 @@ acceleration is the sum of the two. A sample's gravity points up, which is the n
 is with respect to north, west, up. Rates and linear acceleration stay as they are.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ protocol and an SDK under the MIT licence, and one packet holds attitude, rates,
 the filter's state and the sensor's own time, from 100 to 1000 times a second.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING

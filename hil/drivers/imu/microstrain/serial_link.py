@@ -1,7 +1,5 @@
 """The serial port of a MicroStrain sensor, which can fail and be opened again. Never waits for bytes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.config.microstrain import BITS_PER_BYTE, MicrostrainConfig

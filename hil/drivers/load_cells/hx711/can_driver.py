@@ -1,7 +1,5 @@
 """Load cells whose counts come in CAN frames, by a DBC file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from hil.config.load_cells import CanCellsConfig

@@ -1,7 +1,5 @@
 """Converts counts to forces, and marks counts that cannot be used."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The models `hx711_can` and `hx711_line` of the kind `load_cells`."""
 
-from __future__ import annotations
-
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig
 from hil.drivers.serial_and_can_models import CanModel, SerialModel
 

@@ -1,7 +1,5 @@
 """Driver of OptiTrack motion capture: one rigid body, on the bench clock, in a z-up frame, with a status."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping

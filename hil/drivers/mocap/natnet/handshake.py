@@ -1,7 +1,5 @@
 """Agrees with a NatNet server on bit stream and rigid body, and waits for its first frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from hil.config.mocap import MocapConfig

@@ -1,7 +1,5 @@
 """The model `natnet` of the kind `mocap`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """NatNet messages: header, requests, server description (little endian, OptiTrack NatNet SDK)."""
 
-from __future__ import annotations
-
 import enum
 import struct
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Reads a payload from front to back; raises `MalformedPacket` for a step beyond its end."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

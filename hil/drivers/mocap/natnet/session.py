@@ -4,8 +4,6 @@ Model definitions list the rigid bodies that a server streams, by streaming id. 
 contains its size; before, all kinds have to be read to get past them.
 """
 
-from __future__ import annotations
-
 import logging
 import struct
 from typing import TypeAlias

@@ -1,7 +1,5 @@
 """Measures how long each servo has not answered, and raises the error once that is too long."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from hil.config.servo_models.x_series_codes import hardware_error_text

@@ -1,7 +1,5 @@
 """Requests on a DYNAMIXEL bus: single ones through the SDK, group ones through our own packets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 

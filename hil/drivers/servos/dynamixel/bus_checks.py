@@ -1,7 +1,5 @@
 """Checks of an open servo bus: reply time, return delay, packets, hardware errors, limits."""
 
-from __future__ import annotations
-
 import math
 
 from hil.config.servo_models.x_series_codes import RETURN_DELAY_STEP_S, hardware_error_text

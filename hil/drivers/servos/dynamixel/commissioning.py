@@ -1,7 +1,5 @@
 """Finds servos at any baud rate, and sets one up: the only place that writes the EEPROM."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ short timeout at a time, never the whole group. When no servo answers, the fault
 first servo: another servo leads the next read, which shows which of the two it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

@@ -11,8 +11,6 @@ This module has the sequence of opening and of a cycle. Reads are in `cyclic_rea
 time after which a fault is an error in `answer_timeouts`.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections import Counter

@@ -1,7 +1,5 @@
 """Compares the servos that answer at open with those that the bench expects."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from hil.config.servo_models import ServoModel, model_text, models_text, servo_models, shared_register

@@ -4,8 +4,6 @@ A servo silently ignores a goal beyond its own limits, so goals are clipped to t
 goals, steers position goals, whose zero is the servo's centre.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

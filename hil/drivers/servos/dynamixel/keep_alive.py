@@ -5,8 +5,6 @@ that; a program that has stopped its loop would not read it. So from `enable` un
 servos are always polled: by the loop in its cycles, and in between by `KeepAlive`.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable

@@ -5,8 +5,6 @@ Bytes that arrive while no answer is awaited reveal it. The control cycle has no
 sent them; while the robot rests there is time.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable

@@ -5,8 +5,6 @@ error byte of each servo, declares a whole group lost when one member is, and re
 position, for no data (read in dynamixel_sdk).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

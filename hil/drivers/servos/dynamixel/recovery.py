@@ -5,8 +5,6 @@ report that. A servo whose bus watchdog has tripped silently ignores goals. Both
 small group read through indirect data, and repaired with the robot held where it is.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """The blocks of a model's control table that the driver reads and writes."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from itertools import pairwise

@@ -5,8 +5,6 @@ measures on the wall clock and waits 34 ms for a missing servo. This one
 blocks in the serial read, and computes its timeouts from baud rate, bytes, return delay and latency.
 """
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager

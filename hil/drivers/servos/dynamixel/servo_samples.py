@@ -4,8 +4,6 @@ A register in velocity mode counts turns until the servo restarts; then it shows
 no motor could have made since the last reading is such a restart, and positions go on counting.
 """
 
-from __future__ import annotations
-
 import logging
 import struct
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ a stop or between motions, a timer of the driver does. Each write carries the li
 one that was cut spoils the first copy only, and what counts once the bench is silent is the last whole line.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

@@ -1,7 +1,5 @@
 """The model `teensy` of the kind `thrust`."""
 
-from __future__ import annotations
-
 from hil.config.thrust import TeensyConfig
 from hil.drivers.serial_and_can_models import SerialModel
 

@@ -1,7 +1,5 @@
 """Driver of propellers behind VESCs on CAN: forces to speeds that the daemon commands, reports to samples."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from typing import Any

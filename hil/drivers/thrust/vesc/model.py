@@ -1,7 +1,5 @@
 """Propellers on VESC motor controllers, which report their speed and stop when commands stop."""
 
-from __future__ import annotations
-
 from hil.config.adhesion import VescConfig
 from hil.config.thrust_vesc import MOST_CONTROLLERS, VescThrustConfig
 from hil.core.device import Found, Search

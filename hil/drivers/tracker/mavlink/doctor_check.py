@@ -1,7 +1,5 @@
 """The doctor's findings on a MAVLink odometry source: identity, rate, quality, clock."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ Poses come in robot axes in the z-up frame in which the sender gives them: it st
 does, or has x north (LOCAL_NED) or east (LOCAL_ENU). Velocities are in the axes of that frame.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping, Sequence

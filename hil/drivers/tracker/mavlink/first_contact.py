@@ -1,7 +1,5 @@
 """Waits for the first messages of an odometry source, and reports what is wrong when none come."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.config.mavlink import MavlinkTrackerConfig, udp_address

@@ -5,8 +5,6 @@ packets of another component at the same address may bear the numbers that ours 
 come in another order than they were sent.
 """
 
-from __future__ import annotations
-
 _NUMBERS = 256
 _FAR = _NUMBERS // 2
 """A larger step is a restart, not a gap; a packet may come so much later and still fill its gap."""

@@ -6,8 +6,6 @@ request and answer. A difference between the two one-way delays makes an error o
 no round trip can show. The shortest trip of the last 5 s counts, because queueing only ever adds delay.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from typing import Any, NamedTuple, TypeAlias

@@ -1,7 +1,5 @@
 """Transports to the odometry source: UDP, or a serial port that is polled often enough for time stamps."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import socket

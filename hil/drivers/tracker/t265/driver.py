@@ -6,8 +6,6 @@ the pose and of the world it is given in (librealsense's documentation of the T2
 Velocities are in the axes of that world, as the library gives them.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import struct

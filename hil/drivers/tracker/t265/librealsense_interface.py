@@ -4,8 +4,6 @@ A real camera needs the extra `[t265]` with pyrealsense2 2.53.1, whose last whee
 3.10: newer versions have lost the T265 (librealsense's release notes).
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from typing import Any, Protocol

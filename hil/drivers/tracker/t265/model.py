@@ -1,7 +1,5 @@
 """Intel RealSense T265 on USB."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The emulated DroneCAN motor controller, on PyPI `dronecan`: commands, status, node information."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

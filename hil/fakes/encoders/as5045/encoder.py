@@ -4,8 +4,6 @@ Word, most significant bit first: D11..D0, OCF, COF, LIN, MagINC, MagDEC, even p
 (ams AS5045 datasheet).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated

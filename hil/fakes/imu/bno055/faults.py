@@ -1,7 +1,5 @@
 """Faults inside the emulated BNO055; the serial line adds those of the wire."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

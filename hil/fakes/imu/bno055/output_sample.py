@@ -4,8 +4,6 @@ All numbers are in three vectors in SI units (magnetic field in uT), at the indi
 the offsets that remain after calibration, and the state of the fusion.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.core.geometry import Array, Four, Three, multiplied

@@ -4,8 +4,6 @@ One count of an offset is 0.01 m/s^2, 1/16 degree/s, 1/16 uT. The offsets of a s
 last byte is written.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 

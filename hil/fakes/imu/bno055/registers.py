@@ -3,8 +3,6 @@
 Source: Bosch BNO055 datasheet rev 1.4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 PAGE_ID, DATA = 0x07, 0x08

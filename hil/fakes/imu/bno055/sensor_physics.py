@@ -5,8 +5,6 @@ wall frame about its Y axis, so on a vertical wall (tau = pi/2) gravity lies in 
 `output_sample` computes each sample; this module has what changes rarely, and the calibration.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

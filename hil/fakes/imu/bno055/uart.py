@@ -4,8 +4,6 @@ Write `AA 00 reg len data...` -> `EE status`; read `AA 01 reg len` -> `BB len da
 (Bosch BNO055 datasheet 4.7).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 WRITE_SUCCESS, WRITE_FAIL, INVALID_ADDRESS, WRITE_DISABLED = 0x01, 0x03, 0x04, 0x05

@@ -1,7 +1,5 @@
 """Commands of the emulated MicroStrain sensor, and the settings that they change."""
 
-from __future__ import annotations
-
 import dataclasses
 import struct
 from collections.abc import Callable

@@ -6,8 +6,6 @@ user manual, "Filter Initialization"). Plain floats throughout: this runs up to 
 emulated time. All vectors that leave are in sensor axes, attitude is with respect to north, east, down.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Two load cells on HX711 converters: true force of the fan in, counts out, with zero, drift and noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

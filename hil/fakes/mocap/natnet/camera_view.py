@@ -4,8 +4,6 @@ Poses are computed in the wall frame (z out of the surface) and converted to the
 y-up stream, y is out of the calibrated ground plane, so that (x, y, z) of the wall is (x, z, -y).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal, NamedTuple
 

@@ -1,7 +1,5 @@
 """Connects the emulated capture server: by datagrams in this process, or on real UDP sockets."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.core.device import Connection

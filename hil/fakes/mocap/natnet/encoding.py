@@ -1,7 +1,5 @@
 """Encodes NatNet packets as Motive sends them: 3.1, 4.0 and 4.1 (OptiTrack NatNet SDK)."""
 
-from __future__ import annotations
-
 import struct
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Faults of the emulated capture server and of the network in front of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.fakes.mocap.natnet.camera_view import SeenBody

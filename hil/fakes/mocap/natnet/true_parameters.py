@@ -1,7 +1,5 @@
 """True imperfections of the emulated capture system, as measured on public recordings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Serves the emulated capture system on real UDP sockets, unicast and multicast, for any NatNet client."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import heapq

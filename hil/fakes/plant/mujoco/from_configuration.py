@@ -4,8 +4,6 @@ A seed gives the same robot in both engines: deviations of geometry, masses, mot
 equal. The contact of wheels and surface, which differs between them, is drawn last from the same stream.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -8,8 +8,6 @@ inertia are 0.6 of yaw, and each axle is as high as its wheel's radius, so that 
 chassis and tyres deform until they do; a rigid body on wheels that differ by 0.2 mm would rock on two.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Collection

@@ -4,8 +4,6 @@ The robot's file gives its masses, joints and wheels. This module adds what `[ro
 servos define: surface, contacts, gear friction and rotors, fan, propellers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Numbers that MuJoCo's robot needs in addition to `hil.fakes.plant.named_numbers`; SI units."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from hil.core.named_records import Four, Ints, Record, dtype_of

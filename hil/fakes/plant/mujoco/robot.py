@@ -4,8 +4,6 @@ The robot first settles on its wheels without gravity along the surface, is then
 pose, and only then gets its full weight.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -7,8 +7,6 @@ that moves it, by the end of the step, to the angle given by servo and play. A s
 overshoot whenever the play is taken up. A drive servo applies its torque to its wheel.
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.core.geometry import Array

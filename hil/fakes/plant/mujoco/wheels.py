@@ -5,8 +5,6 @@ wheel rolls on an added ellipsoid of its radius and width, as in the generated r
 appearance.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ All of them are off by default. The ripple repeats with every turn of a wheel; i
 first order is 1 to 6 counts. Wander and dither change only while the wheel of their module turns.
 """
 
-from __future__ import annotations
-
 from itertools import zip_longest
 
 import numpy as np

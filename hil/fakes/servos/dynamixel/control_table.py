@@ -4,8 +4,6 @@ Reads and writes use byte ranges as on the wire; a write is split into whole reg
 resolved to their targets. The servo implements side effects.
 """
 
-from __future__ import annotations
-
 import struct
 from functools import cache
 

@@ -3,8 +3,6 @@
 Names: the bus (`servos`), a servo by joint (`servo.drive_FL`) or by ID (`servo.3`).
 """
 
-from __future__ import annotations
-
 from itertools import chain
 
 import numpy as np

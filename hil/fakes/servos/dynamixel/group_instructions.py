@@ -1,7 +1,5 @@
 """Decodes group instructions (sync and bulk): addressed servos and their data."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from hil.fakes.servos.dynamixel import protocol

@@ -8,8 +8,6 @@ trapezoid. Velocity-based profiles: Profile Velocity is the top speed, Profile A
 time-based: total time and acceleration time, in ms. Zero means no limit (e-manual, profile section).
 """
 
-from __future__ import annotations
-
 import math
 
 from hil.config.servo_models import ServoModel

@@ -4,8 +4,6 @@ Written from the vendor's description and checked with its test vectors (ROBOTIS
 driver shares no code with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ Some servos update their registers at a fixed period. The public recordings have
 20 ms, the longest 29 ms.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

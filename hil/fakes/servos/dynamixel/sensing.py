@@ -5,8 +5,6 @@ of 4 ms: it lags the encoder by 52 ms, stretches a 72 ms fall to about 94 ms and
 reads half a count low, as in the authors' recordings. It does not depend on the time of the read.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hil.config.servo_models import ServoModel

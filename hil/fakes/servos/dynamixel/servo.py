@@ -4,8 +4,6 @@
 bus's `Sensing` to its own counts, direction and turns.
 """
 
-from __future__ import annotations
-
 from hil.config.servo_models import Register, ServoModel
 from hil.config.servo_models.x_series_codes import (
     BAUD_CODES,

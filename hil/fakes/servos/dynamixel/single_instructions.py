@@ -1,7 +1,5 @@
 """Instructions to one servo (or broadcast): effect, reply and error number."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from hil.fakes.servos.dynamixel import protocol

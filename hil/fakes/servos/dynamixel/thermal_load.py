@@ -1,7 +1,5 @@
 """Effects of load on the servos: temperature, voltage drop, overload, and the resulting hardware errors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

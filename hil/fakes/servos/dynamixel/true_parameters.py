@@ -1,7 +1,5 @@
 """True parameters of an emulated servo bus: IDs, EEPROM, supply, temperature, behaviour of the firmware."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """True parameters of the emulated propellers; assumptions where no source is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The emulated propellers behind VESCs: each a controller and a motor of its own, which push together."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar

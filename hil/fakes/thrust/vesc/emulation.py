@@ -1,7 +1,5 @@
 """Connects emulated propellers: VESCs on one CAN bus, commanded by a daemon in their world."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.fakes.emulated_can import channel_of

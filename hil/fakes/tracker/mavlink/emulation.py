@@ -1,7 +1,5 @@
 """Connects the emulated visual-inertial computer: on a serial line or by datagrams."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.config.mavlink import MavlinkTrackerConfig, udp_address

@@ -1,7 +1,5 @@
 """Faults of the emulated visual-inertial computer and of the network behind it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -4,8 +4,6 @@ The estimate is kept in robot axes in a levelled world; the message is in front-
 axes, depending on the configured frames.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

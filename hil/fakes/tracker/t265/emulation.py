@@ -1,7 +1,5 @@
 """Connects the emulated T265: as the library's pipeline in this process, or by datagrams."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hil.core.device import Connection

@@ -1,7 +1,5 @@
 """Faults of the emulated T265."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 `hil.links.t265_datagrams` defines the datagrams; the driver's `FeedPipeline` is one of the clients.
 """
 
-from __future__ import annotations
-
 import json
 
 from hil.core.clock import nanoseconds

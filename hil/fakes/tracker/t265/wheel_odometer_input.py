@@ -4,8 +4,6 @@ The T265 accepts up to two velocity sensors. Each has a position and a rotation 
 and a variance of its velocities (librealsense's manual of the T265).
 """
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any, NamedTuple
