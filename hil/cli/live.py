@@ -278,7 +278,7 @@ def drive(session: LiveSession, folder: SessionFolder | None, view: str | None, 
     Args:
         session: session to run.
         folder: folder in which the summary is kept, too; None for nowhere.
-        view: where Rerun shows it; None for nowhere.
+        view: place where Rerun shows the session; None for nowhere.
         as_json: True to print one JSON object.
     """
     from hil.bench.hold.verdict import seen_in_words

@@ -78,7 +78,7 @@ def repeated(recording: Recording, config: BenchConfig, seed: int) -> Recording:
 
     Raises:
         SafetyStop, DeviceError: the emulated robot was stopped.
-        DataError: what it measured cannot be used.
+        DataError: the measurements of the emulated robot cannot be used.
     """
     script, log = RecordedCommands(recording), list[CycleRecord]()
     with open_bench(config, seed=seed, start_pose=script.pose.tolist()) as bench:
