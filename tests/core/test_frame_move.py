@@ -13,13 +13,13 @@ EVERY_NS = 10_000_000
 RNG = np.random.default_rng(5)
 
 
-def told(poses, *, estimated=(), every_ns=EVERY_NS):
+def told(poses, *, estimated=(), every_ns=EVERY_NS, stamps_ns=None):
     """Events of a run with these poses (n, 3), and whether motion capture still counts at its end."""
     excluded = Exclusion(frozenset(estimated), on_wall=True)
     excluded.reset()
     check, events = FrameMove(excluded), []
     for k, pose in enumerate(poses):
-        t_ns = k * every_ns
+        t_ns = k * every_ns if stamps_ns is None else stamps_ns[k]
         seen = PoseMeasurement(Stamp(t_ns, t_ns, k), "mocap", np.asarray(pose, float), 3, True)
         cycle = SimpleNamespace(
             inputs=SimpleNamespace(t_ns=t_ns), measurements=SimpleNamespace(mocap=(seen,)), events=events
@@ -59,3 +59,14 @@ def test_noise_a_stop_a_glitch_and_a_fall_are_no_moved_frame(seed):
     t_s = 0.01 * np.arange(100)
     fall[100:, 0] -= 2.5 * t_s**2
     assert told(fall) == []
+
+
+def test_frames_that_arrive_together_have_no_speed_and_still_show_a_frame_that_moves():
+    """A late frame is stamped just after the one before it: their noise, 1 ns apart, is no motion."""
+    poses, stamps_ns = climb(), [k * EVERY_NS for k in range(200)]
+    for k in range(10, 200, 7):
+        stamps_ns[k] = stamps_ns[k - 1] + 1
+    assert told(poses, stamps_ns=stamps_ns) == []
+    poses[100:] += (0.03, 0, 0)
+    (event,) = told(poses, stamps_ns=stamps_ns)
+    assert 1.0 < event.t_ns / 1e9 < 1.2

@@ -13,6 +13,8 @@ from hil.loop.cycle_data import Check, Cycle
 
 _STAYS_NS = nanoseconds(0.1)
 """A frame that is back before this has not moved: a marker was mistaken for a moment."""
+_SHORTEST_NS = nanoseconds(0.0005)
+"""Samples closer together than this are one: noise over so short a time is no speed. Late frames come so."""
 
 
 class Steps:
@@ -37,7 +39,10 @@ class Steps:
 
     def take(self, t_ns: int, value: complex) -> None:
         """Compare the step to this value with the one before it."""
-        last, self._last = self._last, (t_ns, value)
+        last = self._last
+        if last is not None and 0 < t_ns - last[0] < _SHORTEST_NS:
+            return
+        self._last = (t_ns, value)
         if last is None or not 0 < t_ns - last[0] <= self._gap_ns:
             self._step = None
             return
