@@ -159,7 +159,7 @@ def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(
 ):
     if rates == "two":
         bauds = (57_600, emulator["servos"]["baud"])
-        monkeypatch.setattr("hil.drivers.servos.scan", partial(scan, bauds=bauds))
+        monkeypatch.setattr("hil.drivers.servos.dynamixel.commissioning.scan", partial(scan, bauds=bauds))
     file, can = tmp_path / "found.toml", emulator["can"]
     ports = ["--port", emulator["imu"]["port"], "--port", emulator["servos"]["port"]]
     others = ["--can", f"{can['interface']}:{can['channel']}:{can['port']}"]
