@@ -37,6 +37,7 @@ WRONG = {
     "run": ["latency", "--bench", GONE],
     "setup": ["--port", "/dev/no-such-port", "--id", "999"],
     "tune": ["nowhere"],
+    "twin": ["compare", "nowhere"],
 }
 
 

@@ -45,6 +45,7 @@ def test_each_extra_says_what_it_lacks(installed):
         "paper": "not installed",
         "dronecan": "not installed",
         "campaign": "not installed",
+        "gamepad": "not installed",
         "ros2": "not installed",
     }
 

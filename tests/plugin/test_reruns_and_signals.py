@@ -111,7 +111,9 @@ def test_a_session_that_is_ended_from_outside_leaves_the_robot_held(pytester, na
         assert f"KeyboardInterrupt: {name}" in said
         assert "test_mine.py::test_endless: HELD" in said
         (recording,) = pytester.path.glob("kept/*/recording.mcap")
-        (page,) = pytester.path.glob("kept/*/recording.html")
+        pages = [*pytester.path.glob("kept/*/recording.html")]
+        assert len(pages) == 1, said
+        (page,) = pages
         assert str(recording.relative_to(pytester.path)) in said
         assert str(page.relative_to(pytester.path)) in said
         assert len(open_recording(recording).run(0).records) > 5

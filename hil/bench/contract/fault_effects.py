@@ -46,7 +46,8 @@ def each_fault_acts(subject: Subject) -> str:
 def _declared(subject: Subject) -> tuple[str, ...]:
     world = subject.bench.world
     found = () if world is None else world.faults.supported.get(subject.kind, ())
-    return tuple(fault for fault in found if fault not in _BORNE)
+    borne = (*_BORNE, *getattr(subject.bench.devices.get(subject.kind), "bears", ()))
+    return tuple(fault for fault in found if fault not in borne)
 
 
 def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Samples:
@@ -74,7 +75,7 @@ _SURELY = {
     "pieces": ",size=1,gap_s=0.01",
 }
 _BORNE = ("duplicate",)
-"""Faults that a sound driver bears unseen."""
+"""Faults that a sound driver bears unseen; those that a driver bears besides are its attribute `bears`."""
 
 
 def _watched(bench: Bench, kind: str) -> Iterator[Any]:

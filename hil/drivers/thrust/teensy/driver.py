@@ -35,9 +35,13 @@ class TeensyThrust(Holding[ThrustSample]):
     Args:
         config: port and full force.
         clock: the bench clock.
+
+    Attributes:
+        bears: faults of the wire that change nothing: a flipped bit spoils one of the copies of a line.
     """
 
     name = "thrust"
+    bears = ("corrupt",)
 
     def __init__(self, config: TeensyConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock
