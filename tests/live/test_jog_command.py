@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -186,7 +187,9 @@ def test_in_a_mix_a_killed_terminal_stops_the_wheels_within_the_bus_watchdog(tmp
                 rates.append(packets.read4ByteTxRx(port, served["ids"][0], PRESENT_VELOCITY)[0])
                 assert len(rates) < 200, rates
             port.closePort()
-            assert rates == sorted(rates, reverse=True)
+            assert all(late <= early + 1 for early, late in pairwise(rates)), (
+                "one count is the register's noise"
+            )
         finally:
             servos.terminate()
             servos.wait(LIMIT_S)
