@@ -17,7 +17,7 @@ TORQUE_ENABLE, GOAL_VELOCITY, PRESENT_POSITION = 64, 104, 132
 RAD_PER_COUNT = 2.0 * math.pi / 4096
 RAD_S_PER_COUNT = 0.229 * 2.0 * math.pi / 60.0
 TURN_COUNTS, TURN_S = 44, 1.0
-PATIENCE_S = 60.0
+PATIENCE_S, READ_S = 60.0, 2.0
 
 
 def signed(value: int) -> int:
@@ -26,11 +26,12 @@ def signed(value: int) -> int:
 
 
 def positions(group: GroupSyncRead, ids: list[int]) -> dict[int, int]:
-    """Present positions of all servos by one sync read, counts; a lost reply is repeated."""
-    for _ in range(5):
+    """Present positions of all servos by one sync read, counts; a lost reply is asked for again."""
+    end = time.monotonic() + READ_S
+    while time.monotonic() < end:
         if group.txRxPacket() == COMM_SUCCESS:
             return {i: signed(group.getData(i, PRESENT_POSITION, 4)) for i in ids}
-    raise SystemExit("no complete sync read in five")
+    raise SystemExit(f"no complete sync read in {READ_S:g} s")
 
 
 def ask(call, *arguments):
