@@ -24,6 +24,7 @@ from pathlib import Path
 import hil
 
 WANTED_KB, WANTED_MB = 1.0, 450.0
+BATTERY_AH = 100.0
 WARM_UP_S, SHORT_S, LONG_S = 30.0, 60.0, 240.0
 HOUR = '''"""Climb and descend for a while, and measure where the robot ends."""
 
@@ -69,7 +70,18 @@ def hour_mb(duration_s: float) -> float:
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder) / "long_drive.py"
         script.write_text(HOUR.replace("DURATION", repr(duration_s)), encoding="utf-8")
-        command = [sys.executable, "-m", "hil", "run", str(script), "--out", f"{folder}/out"]
+        battery = f"bench.emulation.adhesion.pack_ah={BATTERY_AH}"  # the profile's is empty after ten minutes
+        command = [
+            sys.executable,
+            "-m",
+            "hil",
+            "run",
+            str(script),
+            "--out",
+            f"{folder}/out",
+            "--set",
+            battery,
+        ]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return 1e-3 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
 
