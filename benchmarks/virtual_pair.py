@@ -77,11 +77,12 @@ def rig(seconds: float, cycle: Callable[[], None], overrides: Mapping[str, objec
     from hil.core.signals import ServoSetpoint
 
     with hil.open_bench("emulated", seed=1, overrides=overrides or {}) as bench:
-        actuators = bench.devices.actuators()
+        devices = bench.devices if hasattr(bench, "devices") else bench.rig  # the name in an earlier tree
+        actuators = devices.actuators()
         deadline_ns = bench.clock.now_ns()
         for k in range(round(seconds * RATE_HZ)):
             bench.clock.sleep_until_ns(deadline_ns)
-            bench.devices.read(k)
+            devices.read(k)
             t_s = k / RATE_HZ
             steer_rad = np.full(4, 0.3 * math.sin(0.5 * t_s))
             actuators.command(ServoSetpoint(np.full(4, 2.0 * math.sin(0.2 * t_s)), steer_rad))
