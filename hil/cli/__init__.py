@@ -47,7 +47,7 @@ COMMANDS = {
     "live": "the control-estimate loop in real time, with monitoring",
     "replay": "re-run estimation on a recording, or verify that what it decided repeats",
     "report": "the HTML page of a run, or a comparison of several",
-    "results": "earlier runs: list, open, search, trends, delete",
+    "results": "earlier runs: list, open, search, trends",
     "robot": "the record of a robot: show, compare, apply and roll back its versions",
     "run": "run a procedure on a bench",
     "setup": "write one servo's ID, baud rate and operating mode",

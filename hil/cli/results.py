@@ -1,4 +1,4 @@
-"""`hil results`: lists, opens, searches, follows over time and deletes the results of earlier runs."""
+"""`hil results`: lists, opens, searches and follows over time the results of earlier runs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _filters(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.group(cls=SuggestingGroup)
 def command() -> None:
-    """Earlier runs in a folder: list, open, search, trends, delete.
+    """Earlier runs in a folder: list, open, search, trends.
 
     Example: hil results list --procedure bring_up
     """
@@ -286,41 +286,3 @@ def _group_json(group: Any) -> dict[str, Any]:
             for s in group.series
         ],
     }
-
-
-@command.command()
-@click.argument("runs", nargs=-1, required=True, type=RUN)
-@_IN
-@click.option("--yes", is_flag=True, help="Do not ask. RUNS must then be whole names.")
-@JSON
-def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
-    """Delete results for good. Says what would be lost, and asks.
-
-    Only files that `hil` has written are deleted. Your own files in the folder of a run stay, and are named.
-    A run that is still active, a link, and what a link points to are never deleted.
-
-    Example: hil results delete bring_up/20260131-101500-000
-    """
-    from hil.report.history.index import find_results
-    from hil.report.history.query import named
-    from hil.report.history.removal import delete as remove
-    from hil.report.history.removal import loss
-    from hil.support.file_reading import printable
-
-    found = find_results(where)
-    losses = [loss(where, kept) for kept in dict.fromkeys(named(found, run, whole=yes) for run in runs)]
-    for item in losses:
-        click.echo(printable(item.in_words()), err=True)
-    if not yes:
-        click.confirm(
-            f"delete {'this' if len(losses) == 1 else f'these {len(losses)}'} for good?", abort=True, err=True
-        )
-    remove(losses)
-    reported = [item.kept.name for item in losses]
-    if as_json:
-        left = {item.kept.name: list(item.stays) for item in losses if item.stays}
-        click.echo(json.dumps({"deleted": reported, "stays": left}))
-    else:
-        said = [f"deleted: {', '.join(reported)}", *filter(None, (item.stays_in_words() for item in losses))]
-        click.echo(printable("\n".join(said)))
-    return EXIT_PASS

@@ -157,7 +157,6 @@ def base(world, tmp_path, monkeypatch):
         "robot show": {"record": world / "record"},
         "results open": {"where": world},
         "results search": {"where": world, "words": "idle"},
-        "results delete": {"where": world, "runs": "absent"},
         "robot diff": {"record": world / "record"},
         "robot rollback": {"record": world / "record"},
         "robot apply": {

@@ -1,4 +1,4 @@
-"""What a fault campaign leaves: a page, found among the results, opened and deleted with them."""
+"""What a fault campaign leaves: a page, found among the results, and opened."""
 
 import pytest
 
@@ -7,7 +7,6 @@ from hil.fault_matrix.matrix_table import write_faults
 from hil.report.history.index import find_results
 from hil.report.history.opening import page_of
 from hil.report.history.query import LAST, named
-from hil.report.history.removal import written
 
 CELLS = cells_of({"servos": {"off": (), "jump": ()}}, seeds=(0,), plants=("own",), moments=("motion",))
 
@@ -36,17 +35,11 @@ def test_it_is_found_with_its_verdict_and_opened_by_its_name(left):
     assert "hil faults --seeds 0:1" in page
 
 
-def test_what_it_has_written_is_deleted_with_it_and_nothing_else(left):
-    (left / "faults" / "notes.txt").write_text("mine", encoding="utf-8")
-    (kept,) = find_results(left)
-    assert set(written(kept)) == {"cells.jsonl", "faults.html", "faults.json"}
-
-
 def test_one_that_has_not_come_to_its_end_is_found_as_that(left):
     for name in ("faults.json", "faults.html"):
         (left / "faults" / name).unlink()
     (kept,) = find_results(left)
-    assert (kept.kind, written(kept)) == ("unfinished", ["cells.jsonl"])
+    assert kept.kind == "unfinished"
     assert "--resume" in kept.why
 
 

@@ -19,7 +19,6 @@ from hil.report.history.index import UNFINISHED, find_results
 from hil.report.history.opening import page_of
 from hil.report.history.page import drawing, headline, write_trends_page
 from hil.report.history.query import chosen, named
-from hil.report.history.removal import loss
 from hil.report.history.series import groups
 from hil.report.run_page import write_run_page
 
@@ -138,8 +137,6 @@ def test_a_folder_that_is_a_run_itself_does_not_hide_what_lies_below(root):
     (root / "result.json").write_text((root / "gap" / "one" / "result.json").read_text())
     names = {k.name for k in find_results(root)}
     assert {".", "gap/one"} <= names
-    with pytest.raises(DataError, match="the folder of results itself"):
-        loss(root, named(find_results(root), "."))
 
 
 def test_a_run_is_found_by_its_seed(tmp_path):
