@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from hil.fakes.world import World
     from hil.faults.fault import Fault, make_fault
     from hil.faults.fault import check_kind as check_fault_kind
-    from hil.faults.fault import describe as describe_fault
 else:
     _OFFERED = {
         "Bench": "hil.bench.bench",
@@ -36,7 +35,6 @@ else:
         "alignment_parameters": "hil.bench.loop_settings",
         "check_fault_kind": "hil.faults.fault:check_kind",
         "check_faults": "hil.bench.emulated_devices",
-        "describe_fault": "hil.faults.fault:describe",
         "faults_within": "hil.bench.emulated_devices",
         "hidden_truth": "hil.bench.emulated_devices",
         "make_bench_model": "hil.bench.opening",
@@ -58,7 +56,6 @@ __all__ = [
     "alignment_parameters",
     "check_fault_kind",
     "check_faults",
-    "describe_fault",
     "faults_within",
     "hidden_truth",
     "make_bench_model",

@@ -7,7 +7,7 @@ from typing import Protocol
 from hil.core.clock import NS_PER_S
 from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord
-from hil.faults.fault import Fault, describe
+from hil.faults.fault import Fault
 
 _FIRST = {
     "off": "switch the power of {} off, or pull its plug",
@@ -90,7 +90,7 @@ class HandFaults(Sink):
         """
         return [
             {
-                "fault": describe(act.fault),
+                "fault": str(act.fault),
                 "at": "hand",
                 "begun_s": act.done_ns[0] / NS_PER_S if act.done_ns else None,
                 "ended_s": (act.done_ns[-1] if len(act.done_ns) == len(act.steps) else end_ns) / NS_PER_S,

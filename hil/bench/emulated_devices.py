@@ -31,7 +31,7 @@ from hil.fakes.emulated_device import EmulatedDevice, EmulationRequest, Transpor
 from hil.fakes.plant import RecordedMotion, RecordedRobot, SteppedBody, make_plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
-from hil.faults.fault import Fault, Supported, describe
+from hil.faults.fault import Fault, Supported
 from hil.faults.files import read_faults
 from hil.faults.plan import FaultPlan
 
@@ -231,43 +231,41 @@ def connect_in_process(
 
 
 def planned_faults(
-    config: BenchConfig, given: Sequence[str | Fault], *, inject_real: bool = False, by_hand: bool = False
+    config: BenchConfig, given: Sequence[Fault], *, inject_real: bool = False, by_hand: bool = False
 ) -> tuple[Fault, ...]:
     """Read all faults of a bench; whether emulated devices support them is checked when these are built.
 
     Args:
         config: the bench configuration; its faults come first.
-        given: further specs or paths of TOML timelines.
+        given: further faults.
         inject_real: True to inject faults of real devices at their links.
         by_hand: True if an operator does those of the power of real devices.
 
     Raises:
-        UsageError, ConfigError: a spec or a file that cannot be read.
+        UsageError, ConfigError: a fault that the configuration names cannot be read.
         FaultNotSupportedError: a fault of a real device that may not be injected.
     """
     faults = _faults(config, given)
     check_links(config, at_links(config, faults), consent=inject_real, by_hand=by_hand)
     if faults and not config.emulated() and (unknown := [f for f in faults if not real_device(config, f)]):
         raise FaultNotSupportedError(
-            f"fault {describe(unknown[0])}: {config.name} has no such device",
+            f"fault {unknown[0]}: {config.name} has no such device",
             expected="one of " + ", ".join(config.devices()),
         )
     return faults
 
 
-def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, ...]:
+def _faults(config: BenchConfig, given: Sequence[Fault]) -> tuple[Fault, ...]:
     """Faults of a bench, each with the name of its device resolved."""
     labels = {name: label for name, label in config.labels().items() if label or name not in KINDS}
     with _in_key(config, "emulation.faults"):
         own = read_faults(config.emulation.faults)
-    return tuple(
-        replace(fault, device=resolve_device(fault.device, labels)) for fault in (*own, *read_faults(given))
-    )
+    return tuple(replace(fault, device=resolve_device(fault.device, labels)) for fault in (*own, *given))
 
 
 def check_faults(
     config: BenchConfig,
-    given: Sequence[str | Fault],
+    given: Sequence[Fault],
     *,
     only: Sequence[str] = (),
     inject_real: bool = False,
@@ -280,7 +278,7 @@ def check_faults(
 
     Args:
         config: the bench configuration; its faults come first.
-        given: further specs or paths of TOML timelines.
+        given: further faults.
         only: names of the devices that will be emulated; empty for all emulated devices of the bench.
         inject_real: True to inject faults of real devices at their links.
         by_hand: True if an operator does those of the power of real devices.
@@ -289,7 +287,7 @@ def check_faults(
         All faults.
 
     Raises:
-        UsageError, ConfigError: a spec or a file cannot be read, or a device cannot be emulated.
+        UsageError, ConfigError: a fault of the configuration cannot be read, or a device cannot be emulated.
         FaultNotSupportedError: names the fault, the supported ones, and the one probably meant.
     """
     faults = planned_faults(config, given, inject_real=inject_real, by_hand=by_hand)
@@ -307,19 +305,19 @@ def supported_faults(config: BenchConfig) -> dict[str, Supported]:
     return dict(world.faults.supported)
 
 
-def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[str, ...]:
-    """Specs of the faults of a bench whose device it has, emulated or real.
+def faults_within(config: BenchConfig, given: Sequence[Fault]) -> tuple[Fault, ...]:
+    """Faults of a bench whose device it has, emulated or real.
 
     Args:
         config: the bench; the faults that it names come first.
-        given: further specs or paths of TOML timelines.
+        given: further faults.
 
     Raises:
-        UsageError, ConfigError: a spec or a file that cannot be read.
+        UsageError, ConfigError: a fault that the configuration names cannot be read.
     """
     faults = _faults(config, given)
     known = supported_faults(config) if faults and config.emulated() else {}
-    return tuple(describe(fault) for fault in faults if fault.device in known or real_device(config, fault))
+    return tuple(fault for fault in faults if fault.device in known or real_device(config, fault))
 
 
 def open_emulation(
@@ -356,7 +354,7 @@ def open_emulation(
             expected="emulated devices: --emulate or backend",
             remedy="use --bench emulated",
         )
-    plan = check_faults(config, faults, only=names)
+    plan = check_faults(config, read_faults(faults), only=names)
     world = build_world(config, seed=seed, faults=plan)
     transports: dict[str, Transport] = {}
     try:

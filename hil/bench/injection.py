@@ -16,7 +16,7 @@ from hil.core.interfaces import Device, Sink
 from hil.fakes.world import random_stream
 from hil.faults import permission
 from hil.faults.at_the_link import LinkFaults
-from hil.faults.fault import Fault, describe
+from hil.faults.fault import Fault
 from hil.faults.plan import FaultPlan
 from hil.links.injection import in_front_of
 from hil.robot.trajectories import Trajectory
@@ -57,7 +57,7 @@ def check_links(
     if first := next(iter(refused), None):
         power = first.kind in permission.POWER
         raise FaultNotSupportedError(
-            f"fault {describe(first)}: {real_device(config, first)} of {config.name} is real",
+            f"fault {first}: {real_device(config, first)} of {config.name} is real",
             expected="faults of emulated devices",
             remedy=(
                 "--by-hand asks the operator to switch the power"
@@ -69,7 +69,7 @@ def check_links(
     for fault in faults:
         if fault.device != (whole := real_device(config, fault)):
             raise FaultNotSupportedError(
-                f"fault {describe(fault)}: at a link all of {whole} has a fault, not a part of it",
+                f"fault {fault}: at a link all of {whole} has a fault, not a part of it",
                 expected=f"{whole}:{fault.kind}",
             )
     real = {name: table for name, table in config.devices().items() if name not in config.emulated()}
@@ -109,6 +109,7 @@ class Injection:
             HandFaults(by_hand, hand, self._since_opened_ns) if hand is not None and by_hand else None
         )
         self._clock, self._config, self._seed = clock, config, seed
+        self._given = tuple(faults)
         self._faults = tuple(fault for fault in faults if fault not in by_hand)
         self._plan = FaultPlan(map(permission.as_lasting, faults))
         self._links: list[LinkFaults] = []
@@ -179,18 +180,19 @@ class Injection:
         rows = [] if self._hands is None else self._hands.report(end_ns)
         return rows + [
             {
-                "fault": describe(fault),
+                "fault": str(fault),
                 "at": "link",
                 "begun_s": fault.start_ns / NS_PER_S if fault.start_ns <= end_ns else None,
                 "ended_s": min(fault.end_ns or end_ns, end_ns) / NS_PER_S,
-                "messages": hit.get(describe(fault), 0),
+                "messages": hit.get(str(fault), 0),
             }
             for fault in self._faults
         ]
 
-    def without_effect(self) -> tuple[str, ...]:
-        """Specs of the faults that have begun and hit no message."""
-        return tuple(str(row["fault"]) for row in self.report() if was_missed(row))
+    def without_effect(self) -> tuple[Fault, ...]:
+        """Faults that have begun and hit no message."""
+        missed = {row["fault"] for row in self.report() if was_missed(row)}
+        return tuple(fault for fault in self._given if str(fault) in missed)
 
 
 def was_missed(row: Mapping[str, object]) -> bool:
@@ -198,8 +200,9 @@ def was_missed(row: Mapping[str, object]) -> bool:
     return row["messages"] == 0 and (row["begun_s"] is not None or row["at"] == "hand")
 
 
-def nothing_hit(specs: Sequence[str]) -> str:
+def nothing_hit(faults: Sequence[object]) -> str:
     """One line for the user about faults that have hit no message; empty for none."""
-    if not specs:
+    if not faults:
         return ""
-    return f"fault {', '.join(specs)} has hit no message of its device: nothing that was done has met it"
+    listed = ", ".join(map(str, faults))
+    return f"fault {listed} has hit no message of its device: nothing that was done has met it"

@@ -30,7 +30,8 @@ from hil.core.errors import DeviceError, UsageError
 from hil.core.interfaces import Sink
 from hil.core.registry import kinds
 from hil.fakes.world import VirtualClock
-from hil.faults.fault import Fault, describe
+from hil.faults.fault import Fault
+from hil.faults.files import read_faults
 from hil.support.lost_time import LostTime
 
 LOG = logging.getLogger(__name__)
@@ -79,14 +80,13 @@ def open_bench(
     """
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
         raise UsageError(f"seed is {seed!r}", expected="a whole number, 0 or more")
-    if isinstance(faults, str):
-        faults = (faults,)
     if start_pose is not None:
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
+    given = read_faults((faults,) if isinstance(faults, str) else faults)
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
     opened_benches.call_guard(config, checked)
     model = _model(with_wheel_sigma(checked), calibration, int(seed))
-    planned = planned_faults(model.config, faults, inject_real=inject_real, by_hand=by_hand is not None)
+    planned = planned_faults(model.config, given, inject_real=inject_real, by_hand=by_hand is not None)
     bench = _put_together(model, planned, sinks, by_hand, realtime=realtime)
     opened_benches.show(bench)
     return bench
@@ -135,7 +135,7 @@ def _at_the_wire(
     if chips:
         check_faults(served, chips)
     try:
-        emulator = EmulatorProcess(served, seed=model.seed, faults=[describe(f) for f in chips])
+        emulator = EmulatorProcess(served, seed=model.seed, faults=[str(f) for f in chips])
     except DeviceError:
         check_faults(served, chips)  # an error in a key of the bench file is reported instead
         raise

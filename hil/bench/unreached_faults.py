@@ -7,28 +7,28 @@ robot fall, but no step of the test or run was exposed to it.
 from collections.abc import Iterable, Sequence
 
 from hil.core.clock import NS_PER_S
-from hil.faults.fault import Fault, describe, parse_fault
+from hil.faults.fault import Fault
 
 
-def not_begun(faults: Iterable[Fault], world_ns: int) -> tuple[str, ...]:
-    """Specs of the faults that begin after the present world time.
+def not_begun(faults: Iterable[Fault], world_ns: int) -> tuple[Fault, ...]:
+    """Faults that begin after the present world time.
 
     Args:
         faults: the planned faults.
         world_ns: present world time.
     """
-    return tuple(describe(fault) for fault in faults if fault.start_ns > world_ns)
+    return tuple(fault for fault in faults if fault.start_ns > world_ns)
 
 
-def not_begun_in_words(specs: Sequence[str], world_ns: int, looked_ns: int) -> str:
+def not_begun_in_words(faults: Sequence[Fault], world_ns: int, looked_ns: int) -> str:
     """One line for the user about faults that did not begin in time.
 
     Args:
-        specs: specs of faults that begin later than `world_ns`.
+        faults: faults that begin later than `world_ns`.
         world_ns: world time when the bench was closed.
         looked_ns: world time when the check of the stopped robot was over.
     """
-    begin_s = {spec: parse_fault(spec).start_ns / NS_PER_S for spec in specs}
+    begin_s = {str(fault): fault.start_ns / NS_PER_S for fault in faults}
     never = [spec for spec, at_s in begin_s.items() if at_s > looked_ns / NS_PER_S]
     closed = f"the bench was closed at {world_ns / NS_PER_S:.2f} s of world time"
     reported = [

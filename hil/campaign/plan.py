@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hil.bench import planned_faults
 from hil.campaign.cases import Case
 from hil.campaign.input_files import contents_of
 from hil.campaign.run_case import Setup
@@ -164,5 +163,5 @@ def _meaning(setup: Setup, proc: Procedure, case: Case) -> str:
             expected="every device emulated",
             remedy="add --emulate all",
         )
-    faults = repr(planned_faults(source.config, source.faults))
+    faults = repr(source.planned_faults())
     return json.dumps([as_dict(parameters), source.config.model_dump(mode="json"), faults], sort_keys=True)

@@ -24,6 +24,7 @@ from hil.core.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
 from hil.core.interfaces import Sink
 from hil.core.known_names import LAWS
 from hil.core.result_names import JOURNAL, LOST
+from hil.faults.files import read_faults
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import PATIENCE_S, Interrupts
@@ -102,7 +103,7 @@ class Setup:
             self.at(self.bench or proc.bench),
             emulate=self.emulate,
             seed=case.seed,
-            faults=tuple(map(self.at, self.all_faults(case))),
+            faults=read_faults(map(self.at, self.all_faults(case))),
             overrides=overrides,
             calibration=Path(self.at(self.calibration)) if self.calibration else None,
             controller=own,

@@ -148,6 +148,7 @@ class BenchRequest:
             UsageError: `--start` is no pose, `--by-hand` without a terminal, or `--controller` is unknown.
             ConfigError: the controller of the user's own cannot be loaded.
         """
+        from hil.faults.files import read_faults
         from hil.procedure.bench_source import BenchSource
         from hil.procedure.user_controllers import check_named
 
@@ -162,7 +163,7 @@ class BenchRequest:
             emulate=self.emulate,
             seed=self.seed,
             realtime=self.realtime,
-            faults=self.faults,
+            faults=read_faults(self.faults),
             inject_real=self.inject_real,
             by_hand=at_the_terminal() if self.by_hand else None,
             overrides={**overrides, **start_question.start_override(self.start_pose)},

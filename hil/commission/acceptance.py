@@ -128,7 +128,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
         "ended": asked.now(),
         "time": "virtual time" if asked.source.virtual else "real time",
         "seed": asked.source.seed,
-        "faults": list(asked.source.faults),
+        "faults": list(map(str, asked.source.faults)),
         "stopped": ended_by,
         "devices": run.devices(),
         "files": list(_files(asked.source)),

@@ -74,7 +74,7 @@ class Commission:
             "seed": source.seed,
             "quick": self.quick,
             "realtime": source.realtime,
-            "faults": list(source.faults),
+            "faults": list(map(str, source.faults)),
             "settings": json.loads(json.dumps(dict(source.overrides))),
         }
 

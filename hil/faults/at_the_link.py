@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from hil.core.clock import Clock
-from hil.faults.fault import Fault, describe
+from hil.faults.fault import Fault
 from hil.faults.messages import Messages
 from hil.faults.plan import FaultPlan
 
@@ -104,5 +104,5 @@ class LinkFaults:
         return () if self._plan.empty or self.waiting() else self._plan.active(self.name, self._world_ns())
 
     def _count(self, fault: Fault) -> None:
-        spec = describe(fault)
+        spec = str(fault)
         self.hit[spec] = self.hit.get(spec, 0) + 1

@@ -57,6 +57,11 @@ _SPEC = re.compile(
 )
 
 
+def _shortest(value: float) -> str:
+    """Shortest text that is read as the same number."""
+    return repr(float(value)).removesuffix(".0")
+
+
 class Option(NamedTuple):
     """One option of a fault: meaning, smallest and largest value, and whether it is an integer.
 
@@ -75,7 +80,7 @@ class Option(NamedTuple):
 
     def text(self, value: float) -> str:
         """Return how a value is written."""
-        return self.words[int(value)] if self.words else f"{value:g}"
+        return self.words[int(value)] if self.words else _shortest(value)
 
     @property
     def range(self) -> str:
@@ -171,11 +176,19 @@ class Fault:
         for key in self.options:
             self.check(key, option_of(self.kind, key))
 
+    def __str__(self) -> str:
+        """Spec of the fault, which `parse_fault` can parse."""
+        text = f"{self.device}:{self.kind}@{_shortest(self.start_ns / NS_PER_S)}"
+        if self.end_ns is not None:
+            text += f"+{_shortest((self.end_ns - self.start_ns) / NS_PER_S)}"
+        written = {key: option_of(self.kind, key).text(value) for key, value in self.options.items()}
+        return text + "".join(f",{key}={value}" for key, value in written.items())
+
     def check(self, key: str, option: Option) -> None:
         """Raise `UsageError` if the value of an option is out of range."""
         if not option.takes(self.options[key]):
             raise UsageError(
-                f"fault {describe(self)}: {key} is {self.options[key]:g}",
+                f"fault {self}: {key} is {self.options[key]:g}",
                 expected=f"{option.expected} ({option.meaning})",
             )
 
@@ -287,12 +300,3 @@ def parse_fault(spec: str) -> Fault:
             f"fault {spec!r} cannot be read",
             expected="DEVICE:KIND[@START_S[+DURATION_S]][,key=number...], for example imu:stuck@2+3",
         ) from None
-
-
-def describe(fault: Fault) -> str:
-    """Return the spec of a fault, which `parse_fault` can parse."""
-    text = f"{fault.device}:{fault.kind}@{fault.start_ns / NS_PER_S:g}"
-    if fault.end_ns is not None:
-        text += f"+{(fault.end_ns - fault.start_ns) / NS_PER_S:g}"
-    written = {key: option_of(fault.kind, key).text(value) for key, value in fault.options.items()}
-    return text + "".join(f",{key}={value}" for key, value in written.items())

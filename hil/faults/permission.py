@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from hil.core.clock import NS_PER_S
 from hil.core.errors import FaultNotSupportedError
-from hil.faults.fault import Fault, Supported, describe
+from hil.faults.fault import Fault, Supported
 from hil.faults.messages import ARRIVAL_FAULTS, FRAME_FAULTS, STREAM_FAULTS
 
 _LATE: Supported = {"delayed": ("delay_s",)}
@@ -82,7 +82,7 @@ def check(
     for fault in faults:
         if most not in SITUATIONS or SITUATIONS.index(present) > SITUATIONS.index(most):
             raise FaultNotSupportedError(
-                f"fault {describe(fault)}: {bench} permits faults of real devices "
+                f"fault {fault}: {bench} permits faults of real devices "
                 + (f"up to {most!r}" if most in SITUATIONS else "nowhere")
                 + f", and the robot is {_PLACE[present]}",
                 expected=f'[faults] real = "{present}" in the bench file',
@@ -90,7 +90,7 @@ def check(
             )
         if fault.device not in set(named):
             raise FaultNotSupportedError(
-                f"fault {describe(fault)}: {fault.device} is real, and not in [faults] devices of {bench}",
+                f"fault {fault}: {fault.device} is real, and not in [faults] devices of {bench}",
                 expected=", ".join(named) or "no device",
                 remedy=f'add "{fault.device}" to devices in [faults], if its messages may be damaged',
             )
@@ -115,39 +115,39 @@ def as_lasting(fault: Fault) -> Fault:
 def _check_hand(fault: Fault, present: str) -> None:
     if present == "wall" and fault.device in _NO_HAND_ON_A_WALL:
         raise FaultNotSupportedError(
-            f"fault {describe(fault)}: the power of {fault.device} holds the robot on its wall",
+            f"fault {fault}: the power of {fault.device} holds the robot on its wall",
             expected="a robot on the floor or on a tether",
             remedy="on a wall use `silent` of the servos, for 1 s at most",
         )
     if fault.options:
-        raise FaultNotSupportedError(f"fault {describe(fault)}: a hand has no options", expected="no option")
+        raise FaultNotSupportedError(f"fault {fault}: a hand has no options", expected="no option")
 
 
 def _check_kind(fault: Fault, wire: str) -> None:
     supported = BY_WIRE.get(wire, {})
     if fault.kind in POWER:
         raise FaultNotSupportedError(
-            f"fault {describe(fault)}: {fault.kind} is of the power of a real device, not of its link",
+            f"fault {fault}: {fault.kind} is of the power of a real device, not of its link",
             expected="one of " + ", ".join(supported),
             remedy=_AT_POWER,
         )
     if fault.kind not in supported:
         raise FaultNotSupportedError(
-            f"fault {describe(fault)}: it cannot be injected at the link of a real device",
+            f"fault {fault}: it cannot be injected at the link of a real device",
             expected="one of " + ", ".join(supported) if supported else "a device with a known wire",
             remedy="inject it at an emulated device (--emulate)",
         )
     for key in fault.options:
         if key not in supported[fault.kind]:
             raise FaultNotSupportedError(
-                f"fault {describe(fault)} has an option {key!r} that a link does not have",
+                f"fault {fault} has an option {key!r} that a link does not have",
                 expected="one of " + ", ".join(supported[fault.kind])
                 if supported[fault.kind]
                 else "no option",
             )
     if fault.kind == "delayed" and fault.start_ns == 0:
         raise FaultNotSupportedError(
-            f"fault {describe(fault)}: a delay from the start cannot be told from a slow interface",
+            f"fault {fault}: a delay from the start cannot be told from a slow interface",
             expected="a start after the bench was opened, such as @2",
         )
 
@@ -158,14 +158,14 @@ def _check_on_wall(fault: Fault) -> None:
         allowed = frozenset()
     if fault.kind not in allowed:
         raise FaultNotSupportedError(
-            f"fault {describe(fault)}: not permitted while the robot hangs without a tether",
+            f"fault {fault}: not permitted while the robot hangs without a tether",
             expected=", ".join(sorted(allowed)) or f"no fault of {fault.device}, which holds the robot",
             remedy="on the floor or on a tether (safety.tethered = true) it is",
         )
     lasts_ns = None if fault.end_ns is None else fault.end_ns - fault.start_ns
     if fault.device == "servos" and (lasts_ns is None or lasts_ns > LONGEST_OF_SERVOS_NS):
         raise FaultNotSupportedError(
-            f"fault {describe(fault)}: on a wall the servos' answers may be missing for 1 s at most",
+            f"fault {fault}: on a wall the servos' answers may be missing for 1 s at most",
             expected=f"a duration of at most {LONGEST_OF_SERVOS_NS / NS_PER_S:g} s (`+1`)",
         )
 
@@ -176,7 +176,7 @@ def _must_leave_one(faults: Sequence[Fault], seeing: Sequence[str]) -> None:
         struck = {one.device for one in faults if one.active(fault.start_ns)}
         if all(name in struck for name in seeing):
             raise FaultNotSupportedError(
-                f"fault {describe(fault)}: from then on no sensor without a fault can see a slide",
+                f"fault {fault}: from then on no sensor without a fault can see a slide",
                 expected=f"one of {', '.join(seeing)} without a fault"
                 if seeing
                 else "a camera or load cells",

@@ -196,7 +196,7 @@ class LiveSession:
         if injected := bench.injection.report():
             found["injected"] = injected
         if missed := bench.faults_not_begun():
-            found["faults_not_begun"] = list(missed)
+            found["faults_not_begun"] = list(map(str, missed))
             found["note"] = bench.not_begun_in_words(missed)
         if said := advice(bench.statistics.summary(), bench.config.loop.rate_hz, self._burdens):
             found["advice"] = said

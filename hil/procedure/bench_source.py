@@ -16,6 +16,7 @@ from hil.config.loading import load_bench
 from hil.core.errors import UsageError
 from hil.core.interfaces import CommandingSink, Sink
 from hil.core.known_names import ROS2
+from hil.faults.fault import Fault
 from hil.procedure.user_controllers import make_own
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ class BenchSource:
         emulate: devices to emulate, `all`, or None for what the file says.
         seed: seed of the emulated world.
         realtime: True to emulate devices at wire level, in real time.
-        faults: fault specs.
+        faults: faults of its devices, in addition to those of the configuration.
         inject_real: True to inject faults of real devices at their links.
         by_hand: operator who does faults of the power of real devices; None for none.
         overrides: dotted key -> value.
@@ -48,7 +49,7 @@ class BenchSource:
     emulate: str | None = None
     seed: int = 0
     realtime: bool = False
-    faults: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
     inject_real: bool = False
     by_hand: Hand | None = field(default=None, compare=False)
     overrides: Mapping[str, object] = field(default_factory=dict)
@@ -81,12 +82,19 @@ class BenchSource:
         """Check the faults against the devices before anything is opened.
 
         Raises:
-            UsageError, ConfigError: a device cannot be emulated as configured, or a fault cannot be parsed
-                or is not supported by any device.
+            UsageError, ConfigError: a device cannot be emulated as configured, or no device supports a fault.
         """
         from hil.bench import check_faults
 
-        check_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=self.by_hand is not None)
+        by_hand = self.by_hand is not None
+        check_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=by_hand)
+
+    def planned_faults(self) -> tuple[Fault, ...]:
+        """All faults of the bench, those of the configuration first; raises as `check_faults`."""
+        from hil.bench import planned_faults
+
+        by_hand = self.by_hand is not None
+        return planned_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=by_hand)
 
     def with_its_faults(self) -> BenchSource:
         """Return the same bench with only the faults of devices that it has.
@@ -189,6 +197,6 @@ class BenchSource:
             "calibration": self.describe_calibration(),
             "seed": self.seed,
             "realtime": self.realtime,
-            "faults": list(self.faults),
+            "faults": list(map(str, self.faults)),
             **({"controller": self.controller} if self.controller else {}),
         }

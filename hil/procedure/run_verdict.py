@@ -12,7 +12,7 @@ from hil.config.device_place import device_place
 from hil.core.call_chain import as_json, chain_of, place_of
 from hil.core.clock import NS_PER_S
 from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
-from hil.faults.fault import Fault, describe
+from hil.faults.fault import Fault
 from hil.procedure.context import Context
 from hil.procedure.measurements import Verdict, worst
 from hil.procedure.parameters import as_dict
@@ -95,15 +95,12 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         wall_s: duration of body and teardown, s.
         error: error that ended the body early; a note names any other device that failed.
     """
-    from hil.bench import planned_faults
     from hil.support.versions import versions
 
     proc, benches, past = context.proc, context.benches, context.benches.past
     findings, source = context.findings, context.source
-    missed: tuple[str, ...] = ()
-    planned = planned_faults(
-        source.config, source.faults, inject_real=source.inject_real, by_hand=source.by_hand is not None
-    )
+    missed: tuple[Fault, ...] = ()
+    planned = source.planned_faults()
     if past is None:  # the world time that an interrupted run reached is not known
         missed = not_begun(planned, benches.world_ns)
     reported = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
@@ -140,7 +137,7 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
-        "faults_not_begun": list(missed),
+        "faults_not_begun": list(map(str, missed)),
         "injected": _injected(planned, benches),
         "notes": findings.notes + context.results.set_again() + reported,
         "events": benches.left.events,
@@ -153,11 +150,11 @@ def _injected(planned: Sequence[Fault], benches: RunBenches) -> list[dict[str, o
     """Return what was injected: at the chip of an emulated device, or at the link of a real one."""
     rows: list[dict[str, object]] = list(benches.injected)
     at_links = {row["fault"] for row in benches.injected}
-    at_chips = [fault for fault in planned if describe(fault) not in at_links]
+    at_chips = [fault for fault in planned if str(fault) not in at_links]
     end_s = benches.world_ns / NS_PER_S
     rows += [
         {
-            "fault": describe(fault),
+            "fault": str(fault),
             "at": "chip",
             "begun_s": begun_s if (begun_s := fault.start_ns / NS_PER_S) <= end_s else None,
             "ended_s": end_s if fault.end_ns is None else min(fault.end_ns / NS_PER_S, end_s),

@@ -132,22 +132,20 @@ def properties(source: BenchSource) -> list[tuple[str, object]]:
         ("calibration_version", "none" if calibration is None else calibration["version"]),
         ("seed", source.seed),
         ("emulated", ",".join(source.config.emulated()) or "none"),
-        *(("fault", spec) for spec in source.faults),
+        *(("fault", str(fault)) for fault in source.faults),
         *((("controller", source.controller),) if source.controller else ()),
     ]
 
 
 def properties_of(bench: Bench) -> list[tuple[str, object]]:
     """Return the same for a bench that a test opened itself; if it is closed, also how it left the robot."""
-    from hil.bench import describe_fault
-
     version = bench.calibration.rpartition(" version ")[2].partition(" ")[0]
     return [
         ("bench", bench.config.name),
         ("calibration_version", version or "none"),
         ("seed", bench.seed),
         ("emulated", ",".join(bench.config.emulated()) or "none"),
-        *(("fault", describe_fault(fault)) for fault in bench.faults),
+        *(("fault", str(fault)) for fault in bench.faults),
         *([("held", bench.held.state)] if bench.held.opened and not bench.is_open else []),
     ]
 
@@ -179,8 +177,8 @@ def _must_have_bench(item: pytest.Item) -> None:
         )
     if faults:
         raise UsageError(
-            f"marker fault for {', '.join(faults)}: the test does not use the fixture `bench`, and the "
-            "marker acts through it only",
+            f"marker fault for {', '.join(map(str, faults))}: the test does not use the fixture `bench`, "
+            "and the marker acts through it only",
             expected="`bench` (or `world`, `clock`, `loop`) among the test's arguments",
             remedy="a bench of hil.open_bench takes faults=[...]",
         )
@@ -197,7 +195,7 @@ def _impossible(item: pytest.Item, source: BenchSource) -> str:
         fake = [name for name in (needed or devices) if name in emulated]
         if fake:
             return f"real_only: bench {config.name} emulates {', '.join(fake)}"
-    for fault in _faults(item):
+    for fault in faults_of(item):
         device = resolve_device(_device(fault.device.partition(".")[0]), labels)
         message = f"fault {fault.device}:{fault.kind}: "
         if device in kinds() and device not in devices:
@@ -212,9 +210,8 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
     """Open the bench for one test, with the faults of its markers; add its name to the test's report."""
     with ExitStack() as stack:
         with plainly():
-            faults = tuple(faults_of(item))
             source = source_of(item.config)
-            source = driven(item, replace(source, faults=(*source.faults, *faults)))
+            source = driven(item, replace(source, faults=(*source.faults, *faults_of(item))))
             item.user_properties.extend(properties(source))
             bench = source.open()
             bench.warns_not_held = False
@@ -234,7 +231,7 @@ def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
     for given in config.getoption("override_ini") or ():
         if given.partition("=")[0].strip() == "hil_bench":
             options += ["-o", given]
-    faults = "".join(f", fault {spec}" for spec in faults_of(item))
+    faults = "".join(f", fault {fault}" for fault in faults_of(item))
     if mark := item.get_closest_marker("controller"):
         faults += f", controller {mark.args[0]}"
     return (
@@ -264,16 +261,9 @@ def _needed(item: pytest.Item) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _faults(item: pytest.Item) -> tuple[Fault, ...]:
+def faults_of(item: pytest.Item) -> tuple[Fault, ...]:
     """Return the faults of all markers of a test, the outermost first."""
     return tuple(_fault(mark) for mark in reversed(list(item.iter_markers("fault"))))
-
-
-def faults_of(item: pytest.Item) -> list[str]:
-    """Return the faults of a test in the format of the command line."""
-    from hil.bench import describe_fault
-
-    return [describe_fault(fault) for fault in _faults(item)]
 
 
 def _fault(mark: pytest.Mark) -> Fault:

@@ -19,6 +19,7 @@ from _pytest.terminal import TerminalReporter
 from hil.core.errors import HilError, did_you_mean
 from hil.core.registry import kinds
 from hil.fault_matrix import is_tested_itself
+from hil.faults.fault import Fault, make_fault
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.bench_selection import in_several_processes, source_of, use_source
 
@@ -40,13 +41,13 @@ class Breakage:
 
     Attributes:
         name: name in tables and on the command line.
-        faults: fault specs.
+        faults: faults of the emulated devices.
         overrides: keys of the bench file -> values.
         matters: True if a robot on a wall may come to harm if the suite does not notice it.
     """
 
     name: str
-    faults: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
     overrides: Mapping[str, object] = field(default_factory=dict)
     matters: bool = True
 
@@ -68,11 +69,12 @@ def breakages(source: BenchSource) -> list[Breakage]:
 def _faulty(declared: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Iterator[Breakage]:
     for device in filter(is_tested_itself, declared):
         for kind, options in declared[device].items():
-            spec = f"{device}:{kind}@{AT_S:g}"
-            yield Breakage(f"{device}:{kind}", (spec,), matters=kind not in _borne(device))
+            fault = make_fault(device, kind, at=AT_S)
+            yield Breakage(f"{device}:{kind}", (fault,), matters=kind not in _borne(device))
             for option in (o for o in options if kind == "wrong" and o in _HARMFUL_OPTIONS):
                 value = _HARMFUL_OPTIONS[option]
-                yield Breakage(f"{device}:{kind},{option}={value:g}", (f"{spec},{option}={value:g}",))
+                harmful = make_fault(device, kind, at=AT_S, **{option: value})
+                yield Breakage(f"{device}:{kind},{option}={value:g}", (harmful,))
 
 
 def _borne(device: str) -> tuple[str, ...]:
@@ -85,7 +87,9 @@ def _assembled(config: BenchConfig) -> Iterator[Breakage]:
     if "servos" in config.emulated():
         yield Breakage("drive FL turns the other way", overrides=_sign(config, "drive"))
         yield Breakage("steering FL turns the other way", overrides=_sign(config, "steer"))
-        yield Breakage("steering horn FL one tooth off", ("servo.steer_FL:jump,angle_rad=0.25",))
+        yield Breakage(
+            "steering horn FL one tooth off", (make_fault("servo.steer_FL", "jump", angle_rad=0.25),)
+        )
         yield Breakage(
             "wheels three times as far from their drawing", overrides={"emulation.geometry_share": 3.0}
         )
@@ -105,7 +109,9 @@ def _sign(config: BenchConfig, which: str) -> dict[str, object]:
 def _weaker(config: BenchConfig) -> Iterator[Breakage]:
     """Yield robots with reduced force or supply."""
     if config.environment.kind == "wall" and any(kinds()[name].holds_robot for name in config.emulated()):
-        yield Breakage("the fan presses half as much", ("plant:adhesion_loss@1,factor=0.5",))
+        yield Breakage(
+            "the fan presses half as much", (make_fault("plant", "adhesion_loss", at=1.0, factor=0.5),)
+        )
     if "servos" in config.emulated():
         yield Breakage("the battery is nearly empty", overrides={"emulation.servos.supply_v": 8.5})
 

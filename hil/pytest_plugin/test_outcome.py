@@ -60,8 +60,8 @@ def _not_held(item: pytest.Item, bench: Bench) -> list[str]:
 
 def _vacuous(item: pytest.Item, bench: Bench) -> list[str]:
     own = faults_of(item)
-    missed = [spec for spec in bench.faults_not_begun() if spec in own]
-    if idle := [spec for spec in bench.faults_without_effect() if spec in own]:
+    missed = [fault for fault in bench.faults_not_begun() if fault in own]
+    if idle := [fault for fault in bench.faults_without_effect() if fault in own]:
         return [f"the test has passed without what it is about: {nothing_hit(idle)}"]
     if not missed:
         return []

@@ -14,6 +14,7 @@ from hil.commission.acceptance import QUESTION, Acceptance, accept
 from hil.config.encoders import SHIPPED_DBC
 from hil.core.errors import Aborted, DeviceError
 from hil.drivers.servos.dynamixel.driver import DynamixelServos
+from hil.faults.files import read_faults
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.operator import Operator
@@ -259,7 +260,7 @@ def test_with_consent_the_servos_are_opened(looked, bench, answer, on_stand, ask
 
 
 def test_the_first_promise_that_is_broken_is_the_last_that_moves(looked, bench):
-    source = BenchSource(bench(SERVOS), faults=("servo.drive_FL:stuck@1",))
+    source = BenchSource(bench(SERVOS), faults=read_faults(("servo.drive_FL:stuck@1",)))
     reported, code = accept(Acceptance(source, now))
     motion = stages(reported)["motion"]
     assert code == 1
@@ -329,7 +330,7 @@ FEW = ("a servo that restarts", "encoders that lose frames", "a camera that drif
     ],
 )
 def test_a_device_that_is_a_little_sick_does_not_pass(bench, tables, fault, device, found):
-    reported, code = accept(Acceptance(BenchSource(bench(tables), seed=3, faults=(fault,)), now))
+    reported, code = accept(Acceptance(BenchSource(bench(tables), seed=3, faults=read_faults((fault,))), now))
     assert (code, reported["verdict"]) == (1, "FAIL")
     (failure,) = failures(reported)
     assert failure["device"] == device
@@ -340,7 +341,7 @@ def test_a_device_that_is_a_little_sick_does_not_pass(bench, tables, fault, devi
 
 
 def test_a_device_that_restarts_while_the_doctor_looks_is_named(bench):
-    source = BenchSource(bench('[imu]\nbackend = "emulated"'), faults=("imu:reset@1.5",))
+    source = BenchSource(bench('[imu]\nbackend = "emulated"'), faults=read_faults(("imu:reset@1.5",)))
     reported, code = accept(Acceptance(source, now))
     assert code == 3
     assert "has restarted" in failures(reported)[0]["found"]
@@ -356,7 +357,9 @@ def test_faults_of_devices_that_are_not_there_in_motion_do_not_end_it(bench, nam
     given = ("load_cells:wrong,factor=0.9",)
     if named_by == "bench file":
         tables.append(f"[emulation]\nfaults = {list(given)}")
-    reported, _ = accept(Acceptance(BenchSource(bench(*tables), faults=given * (named_by == "--fault")), now))
+    reported, _ = accept(
+        Acceptance(BenchSource(bench(*tables), faults=read_faults(given * (named_by == "--fault"))), now)
+    )
     assert stages(reported)["motion"]["verdict"] == "PASS", reported
 
 

@@ -22,6 +22,7 @@ from hil.config.robot_record import PARTS, Figure, NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
 from hil.core.clock import MonotonicClock
 from hil.core.errors import Aborted, ConfigError
+from hil.faults.files import read_faults
 from hil.procedure import BenchSource
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.measurements import Verdict
@@ -74,7 +75,7 @@ def test_what_has_passed_is_not_repeated(tmp_path, passing):
 
 
 def test_the_first_failure_ends_it_with_what_to_do_and_resuming_goes_on_there(tmp_path):
-    blind = replace(SOURCE, faults=("tracker:off@0",))
+    blind = replace(SOURCE, faults=read_faults(("tracker:off@0",)))
     reported, code = commission(asked(tmp_path / "out", source=blind))
     assert (reported["verdict"], code) == ("ERROR", 3)
     assert list(reported["procedures"]) == ["tracker_extrinsics"]
@@ -330,13 +331,13 @@ def test_a_procedure_is_given_those_faults_that_its_devices_can_have(tmp_path, m
     given, facts = {}, {"data": {}, "record": None, "duration_s": 1.0, "held": None}
 
     def run(proc, source, options):
-        given[proc.name] = tuple(source.faults)
+        given[proc.name] = tuple(map(str, source.faults))
         source.check_faults()
         return Result(proc.name, Verdict.PASS, options.folder, [], facts)
 
     monkeypatch.setattr(commission_run, "run_procedure", run)
     faults = ("load_cells:wrong@0", "imu:stuck@1000")
-    assert commission(asked(tmp_path / "out", source=replace(SOURCE, faults=faults)))[1] == 0
+    assert commission(asked(tmp_path / "out", source=replace(SOURCE, faults=read_faults(faults))))[1] == 0
     assert given == {"tracker_extrinsics": ("imu:stuck@1000",), "wall_ablation": faults}
 
 

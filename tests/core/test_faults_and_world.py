@@ -10,7 +10,7 @@ from hil.config.loading import load_bench
 from hil.core.errors import FaultNotSupportedError, UsageError
 from hil.core.registry import kinds, which_device
 from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
-from hil.faults.fault import FINITE, OPTIONS, VOCABULARY, describe, make_fault, option_of, parse_fault
+from hil.faults.fault import FINITE, OPTIONS, VOCABULARY, make_fault, option_of, parse_fault
 from hil.faults.plan import DeviceFaults, FaultPlan
 from tests.still_plant import StillPlant
 
@@ -35,7 +35,7 @@ class Ticker(Scheduled):
 )
 def test_a_fault_reads_back_from_its_own_description(kind, at, duration, options):
     fault = make_fault("servo.drive_FL", kind, at=at, duration=duration, **options)
-    assert parse_fault(describe(fault)) == fault
+    assert parse_fault(str(fault)) == fault
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_both_ends_of_a_range_are_taken(name):
     for value in (OPTIONS[name].least, OPTIONS[name].most):
         fault = make_fault("imu", kind, **{option: OPTIONS[name].text(value)})
         assert fault.option(option, 5.5) == value
-        assert parse_fault(describe(fault)) == fault
+        assert parse_fault(str(fault)) == fault
     with pytest.raises(UsageError, match=option):
         make_fault("imu", kind, **{option: OPTIONS[name].most * 1.001 + 1e-3})
 

@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 
 from hil.core.errors import Aborted, DataError, TrajectoryError
+from hil.faults.files import read_faults
 from hil.procedure import procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.figure_rows import DrivenRows
@@ -32,7 +33,7 @@ SHORT = {
 def tracked(run_small):
     def run(processes, *faults):
         """Result and what was reported of two lines on a wall."""
-        source = BenchSource("emulated", seed=3, faults=faults, overrides=FANLESS)
+        source = BenchSource("emulated", seed=3, faults=read_faults(faults), overrides=FANLESS)
         parameters = {**SHORT, "processes": processes}
         result = run_small(load_procedure("wall_tracking"), source=source, parameters=parameters)
         return result, json.loads((result.folder / "result.json").read_text())

@@ -13,6 +13,7 @@ from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.core.errors import Aborted, ConfigError, HilError, UsageError
 from hil.fault_matrix import MOMENTS, Cell, CellVerdict, cells_of, random_cells
+from hil.faults.files import read_faults
 from hil.report.history.index import find_results
 from hil.robot.trajectories import line
 
@@ -59,7 +60,7 @@ def test_every_fault_of_the_shipped_bench_has_its_cells():
 def test_a_force_that_no_propeller_has_is_refused_before_the_run(factor):
     """It once raised out of the emulator in mid-drive, and nobody looked whether the robot is held."""
     with pytest.raises(UsageError, match=r"factor is -10?; expected a number from 0 to 10"):
-        check_faults(load_bench("emulated"), [f"thrust:wrong@2,factor={factor}"])
+        check_faults(load_bench("emulated"), read_faults([f"thrust:wrong@2,factor={factor}"]))
 
 
 def test_a_wire_that_fails_in_one_direction_lets_the_robot_move_no_further_than_in_both():
@@ -76,7 +77,7 @@ def test_a_wire_that_fails_in_one_direction_lets_the_robot_move_no_further_than_
 def test_faults_are_tried_at_strengths_of_both_signs_that_their_devices_take():
     bench = load_bench("emulated")
     found = cells_of(supported_faults(bench), seeds=(0,), plants=("own",))
-    check_faults(bench, [spec for cell in found for spec in cell.specs])
+    check_faults(bench, read_faults(spec for cell in found for spec in cell.specs))
     assert len(found) == len({cell.name for cell in found})
     for device, fault in (("imu", "wrong"), ("tracker", "jump"), ("adhesion", "jump"), ("servos", "wrong")):
         numbers = [

@@ -13,6 +13,7 @@ from hil.cli import main
 from hil.cli.run import text_of
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceTimeoutError
+from hil.faults.files import read_faults
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
@@ -50,7 +51,7 @@ def climb(ctx):
     ],
 )
 def test_a_result_says_whether_the_robot_is_held(tmp_path, faults, state, verdict, said):
-    source = BenchSource("emulated", seed=1, faults=faults, overrides={"exit.look_after_s": 1.0})
+    source = BenchSource("emulated", seed=1, faults=read_faults(faults), overrides={"exit.look_after_s": 1.0})
     result, tree = ran(tmp_path / "run", climb, source)
     assert (tree["held"]["state"], tree["verdict"]) == (state, verdict)
     assert said in tree["held"]["why"]
@@ -73,7 +74,7 @@ def stands(ctx):
 
 @pytest.mark.parametrize("missed", [[], ["imu:off@1000"]])
 def test_a_fault_that_the_run_ended_before_is_named(tmp_path, caplog, missed):
-    source = BenchSource("emulated_floor", faults=("tracker:stuck@0.6+0.1", *missed))
+    source = BenchSource("emulated_floor", faults=read_faults(("tracker:stuck@0.6+0.1", *missed)))
     result, reported = ran(tmp_path / "run", stands, source)
     assert (result.exit_code, reported["faults_not_begun"]) == (0, missed)
     notes = [note for note in reported["notes"] if "never acted" in note]
@@ -115,7 +116,7 @@ def goes_on(ctx):
 
 
 def test_a_procedure_that_goes_on_after_a_lost_sensor_passes_only_with_a_note(tmp_path):
-    source = BenchSource("emulated_floor", seed=1, faults=("imu:off@0.6",))
+    source = BenchSource("emulated_floor", seed=1, faults=read_faults(("imu:off@0.6",)))
     _, tree = ran(tmp_path / "run", goes_on, source)
     assert tree["verdict"] == "PASS"
     (note,) = tree["notes"]
@@ -125,7 +126,7 @@ def test_a_procedure_that_goes_on_after_a_lost_sensor_passes_only_with_a_note(tm
 
 
 def test_a_lost_sensor_that_ends_the_run_is_reported_once(tmp_path):
-    source = BenchSource("emulated_floor", seed=1, faults=("imu:off@0.6",))
+    source = BenchSource("emulated_floor", seed=1, faults=read_faults(("imu:off@0.6",)))
     _, tree = ran(tmp_path / "run", climb, source)
     assert (tree["verdict"], tree["notes"]) == ("ERROR", [])
     assert "imu" in tree["error"]["message"]
@@ -196,7 +197,7 @@ def test_a_signal_after_the_verdict_takes_nothing_of_the_last_word(tmp_path, mon
 
 def test_what_was_not_looked_at_has_not_moved_by_a_number(tmp_path):
     """A bench that does not open, and a procedure that opens none, know nothing of any way."""
-    source = BenchSource("emulated", faults=("servos:off@0",))
+    source = BenchSource("emulated", faults=read_faults(("servos:off@0",)))
     _, tree = ran(tmp_path / "run", climb, source)
     assert (tree["held"]["state"], tree["held"]["moved_m"]) == ("NOT HELD", None)
     assert held_in_words(tree["held"]).startswith("NOT HELD: not checked: the bench did not open")

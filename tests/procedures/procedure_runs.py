@@ -3,7 +3,7 @@
 import copy
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from absent_operator import AbsentOperator
 
 from hil.bench import open_bench
 from hil.core.clock import MonotonicClock, nanoseconds
+from hil.faults.files import read_faults
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.result_writer import Result
@@ -84,8 +85,10 @@ def assert_still(benches):
         assert not after.fallen or abs(bench.config.environment.start_pose[2]) > SAFE_HEADING_RAD
 
 
-def watched(name: str, **source: Any) -> WatchedSource:
-    return WatchedSource(source.pop("bench", None) or load_procedure(name).bench, **source)
+def watched(name: str, faults: Iterable[str] = (), **source: Any) -> WatchedSource:
+    """The bench of a procedure, or another one, that keeps the benches which it has opened."""
+    bench = source.pop("bench", None) or load_procedure(name).bench
+    return WatchedSource(bench, faults=read_faults(faults), **source)
 
 
 def options_of(folder: Path, parameters: dict[str, Any] | None = None, **more: Any) -> RunOptions:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from procedure_runs import options_of
 
+from hil.faults.files import read_faults
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.measurements import Verdict
 from hil.procedure.procedure_lookup import load_procedure
@@ -18,7 +19,7 @@ SHORT_SCAN = {"lanes": 2, "lane_length_m": 0.25, "hold_s": 0.5}
 
 def run(name, folder, *, faults=(), seed=0, overrides=None, **parameters):
     overrides = {"safety.tethered": True, **(overrides or {})}  # its benches close without a long look
-    source = BenchSource("emulated", seed=seed, faults=tuple(faults), overrides=overrides)
+    source = BenchSource("emulated", seed=seed, faults=read_faults(faults), overrides=overrides)
     return run_procedure(load_procedure(name), source, options_of(folder, parameters))
 
 

@@ -11,6 +11,7 @@ from procedure_runs import options_of
 from hil.bench import open_bench
 from hil.core.errors import DataError
 from hil.core.geometry import wrap_array
+from hil.faults.files import read_faults
 from hil.loop.driven_motion import Motion
 from hil.procedure import procedure
 from hil.procedure.bench_source import BenchSource
@@ -41,7 +42,7 @@ GAPS = "mocap:intermittent@1,period_s=2,duty=0.97"
 
 
 def run(proc, folder, fault, **parameters):
-    source = BenchSource("emulated", faults=(fault,), overrides=FANLESS)
+    source = BenchSource("emulated", faults=read_faults((fault,)), overrides=FANLESS)
     return run_procedure(proc, source, options_of(folder, parameters))
 
 

@@ -10,6 +10,7 @@ from procedure_runs import options_of
 from hil.cli.run import text_of
 from hil.core.event_rows import MOST_ROWS, EventRows, event_line
 from hil.core.signals import Event
+from hil.faults.files import read_faults
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.measurements import Verdict
 from hil.procedure.procedure_lookup import load_procedure
@@ -31,7 +32,9 @@ SHORT = {
 def moved_frame(tmp_path_factory):
     """Two drives in which the frame of motion capture moves by 5 mm, less than any other check allows."""
     folder = tmp_path_factory.mktemp("saw") / "run"
-    source = BenchSource("emulated", faults=("mocap:wrong@2.0,offset_m=0.005",), overrides=FANLESS)
+    source = BenchSource(
+        "emulated", faults=read_faults(("mocap:wrong@2.0,offset_m=0.005",)), overrides=FANLESS
+    )
     return run_procedure(load_procedure("wall_tracking"), source, options_of(folder, SHORT))
 
 

@@ -165,17 +165,17 @@ class HeldDevices:
             return 0
         return (self.clock.now_ns() if t_ns is None else t_ns) - self._begun_ns
 
-    def faults_without_effect(self) -> tuple[str, ...]:
-        """Specs of the faults in front of real devices that have begun and hit no message."""
+    def faults_without_effect(self) -> tuple[Fault, ...]:
+        """Faults in front of real devices that have begun and hit no message."""
         return self.injection.without_effect()
 
-    def faults_not_begun(self) -> tuple[str, ...]:
-        """Specs of the planned faults that had not begun when the bench was closed."""
+    def faults_not_begun(self) -> tuple[Fault, ...]:
+        """Planned faults that had not begun when the bench was closed."""
         return not_begun(self.faults, self.world_ns)
 
-    def not_begun_in_words(self, specs: Sequence[str]) -> str:
+    def not_begun_in_words(self, faults: Sequence[Fault]) -> str:
         """One line about some of `faults_not_begun`."""
-        return not_begun_in_words(specs, self.world_ns, self.looked_ns)
+        return not_begun_in_words(faults, self.world_ns, self.looked_ns)
 
     def on_close(self, callback: Callable[[], object]) -> None:
         """Register a callback that is called when the bench closes, after the devices."""
