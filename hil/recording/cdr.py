@@ -6,16 +6,13 @@ size, counted after the first four bytes.
 """
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-
-import numpy as np
-
-from hil.core.geometry import Array
+from typing import Any
 
 _ENCODING = b"\0\1\0\0"
-_STAMP = struct.Struct("<iI")
-_LENGTH, _LENGTHS = struct.Struct("<I"), struct.Struct("<3I")
+_STAMP = struct.Struct("<4siI")
+_LENGTH, _OCTETS = struct.Struct("<I"), struct.Struct("<4s3I")
 _DOUBLE = 8
 
 Stamp = tuple[int, int]
@@ -24,12 +21,12 @@ Stamp = tuple[int, int]
 
 def clock(stamp: Stamp) -> bytes:
     """`rosgraph_msgs/Clock`."""
-    return _ENCODING + _STAMP.pack(*stamp)
+    return _STAMP.pack(_ENCODING, *stamp)
 
 
 def octets(payload: bytes) -> bytes:
     """`std_msgs/UInt8MultiArray` with one unnamed dimension left out."""
-    return _ENCODING + _LENGTHS.pack(0, 0, len(payload)) + payload
+    return _OCTETS.pack(_ENCODING, 0, 0, len(payload)) + payload
 
 
 def transforms(stamp: Stamp, frames: Sequence[tuple[tuple[str, str], Sequence[float]]]) -> bytes:
@@ -39,11 +36,11 @@ def transforms(stamp: Stamp, frames: Sequence[tuple[tuple[str, str], Sequence[fl
         stamp: stamp of all transforms.
         frames: names (parent, child) and (7,): position in m, quaternion with w last.
     """
-    data = _ENCODING + _LENGTH.pack(len(frames))
-    for names, values in frames:
-        data += _STAMP.pack(*stamp) + _texts(names)
-        data += bytes(_gap(len(data))) + struct.pack("<7d", *values)
-    return data
+    form, texts = _transforms(tuple(names for names, _ in frames))
+    values: list[Any] = []
+    for text, (_, numbers) in zip(texts, frames, strict=True):
+        values += (*stamp, text, *numbers)
+    return form.pack(_ENCODING, len(texts), *values)
 
 
 def stamped(stamp: Stamp, texts: tuple[str, ...], values: Sequence[float]) -> bytes:
@@ -54,11 +51,11 @@ def stamped(stamp: Stamp, texts: tuple[str, ...], values: Sequence[float]) -> by
         texts: the header's frame, then the others.
         values: all numbers that follow, in their order.
     """
-    begin = _ENCODING + _STAMP.pack(*stamp) + _texts(texts)
-    return begin + bytes(_gap(len(begin))) + struct.pack(f"<{len(values)}d", *values)
+    form, begin = _stamped(texts, len(values))
+    return form.pack(_ENCODING, *stamp, begin, *values)
 
 
-def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Iterable[Sequence[float] | Array]) -> bytes:
+def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Sequence[Sequence[float]]) -> bytes:
     """`sensor_msgs/JointState` without a frame.
 
     Args:
@@ -66,17 +63,47 @@ def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Iterable[Sequence
         names: names of the joints.
         columns: positions, velocities and efforts, (n,) or (0,) each.
     """
-    data = _ENCODING + _STAMP.pack(*stamp) + _names(names)
-    for column in columns:
-        data += _LENGTH.pack(len(column))
-        if len(column):
-            data += bytes(_gap(len(data))) + np.asarray(column, dtype="<f8").tobytes()
-    return data
+    position, velocity, effort = columns
+    lengths = len(position), len(velocity), len(effort)
+    form, begin = _joint_state(names, lengths)
+    n, m, k = lengths
+    return form.pack(_ENCODING, *stamp, begin, n, *position, m, *velocity, k, *effort)
 
 
-def _gap(length: int) -> int:
-    """Padding up to the next place for a float64, bytes."""
-    return (len(_ENCODING) - length) % _DOUBLE
+@lru_cache(maxsize=64)
+def _transforms(names: tuple[tuple[str, str], ...]) -> tuple[struct.Struct, tuple[bytes, ...]]:
+    """Form of transforms, and the encoded names of each."""
+    form, texts = "<4sI", tuple(map(_texts, names))
+    for text in texts:
+        form = _with_doubles(f"{form}iI{len(text)}s", 7)
+    return struct.Struct(form), texts
+
+
+@lru_cache(maxsize=64)
+def _stamped(texts: tuple[str, ...], count: int) -> tuple[struct.Struct, bytes]:
+    """Form of a stamp, texts and that many float64 values, and the encoded texts."""
+    encoded = _texts(texts)
+    return struct.Struct(_with_doubles(f"<4siI{len(encoded)}s", count)), encoded
+
+
+@lru_cache(maxsize=64)
+def _joint_state(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[struct.Struct, bytes]:
+    """Form of joints with columns of these lengths, and the encoded empty frame and names."""
+    encoded = _text("", b"")
+    encoded += bytes(-len(encoded) % _LENGTH.size) + _LENGTH.pack(len(names))
+    for name in names:
+        encoded = _text(name, encoded)
+    encoded += bytes(-len(encoded) % _LENGTH.size)
+    form = f"<4siI{len(encoded)}s"
+    for length in lengths:
+        form = _with_doubles(f"{form}I", length)
+    return struct.Struct(form), encoded
+
+
+def _with_doubles(form: str, count: int) -> str:
+    """A format with float64 values appended, which begin at a multiple of their size."""
+    gap = (len(_ENCODING) - struct.calcsize(form)) % _DOUBLE
+    return f"{form}{gap}x{count}d" if count else form
 
 
 def _text(text: str, data: bytes) -> bytes:
@@ -85,20 +112,9 @@ def _text(text: str, data: bytes) -> bytes:
     return data + bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(encoded)) + encoded
 
 
-@lru_cache(maxsize=64)
 def _texts(texts: tuple[str, ...]) -> bytes:
     """Encode texts that follow a stamp."""
     data = b""
     for text in texts:
         data = _text(text, data)
     return data
-
-
-@lru_cache(maxsize=64)
-def _names(names: tuple[str, ...]) -> bytes:
-    """Encode an empty frame and a sequence of names after a stamp, padded to the place of a length."""
-    data = _text("", b"")
-    data += bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(names))
-    for name in names:
-        data = _text(name, data)
-    return data + bytes(-len(data) % _LENGTH.size)

@@ -25,6 +25,8 @@ FORMAT = 1
 """Version of the content of the topic `/hil/cycle`; files with another number are not read."""
 DTYPES: Sequence[np.dtype[Any]] = tuple(map(np.dtype, ("<f8", "<f4", "<i8", "?")))
 """Types of arrays that are kept as they are."""
+_Ext = msgspec.msgpack.Ext
+_FLOATS = DTYPES[0]
 _NUMBERS = {dtype: number for number, dtype in enumerate(DTYPES)}
 
 
@@ -83,11 +85,13 @@ class CycleCodec:
 def _packed(value: Any) -> Any:
     """Replacement for a value that MessagePack has no form for: arrays, numpy scalars, mappings."""
     if isinstance(value, np.ndarray):
+        if value.dtype is _FLOATS and value.ndim == 1:  # nearly all of them
+            return _Ext(4, value.tobytes())
         number, dimensions = _NUMBERS.get(value.dtype), value.ndim
         if number is None:
             return _packed(value.astype("<i8" if value.dtype.kind in "iu" else "<f8"))
         lengths = struct.pack(f"<{dimensions}I", *value.shape) if dimensions > 1 else b""
-        return msgspec.msgpack.Ext(4 * dimensions + number, lengths + value.tobytes())
+        return _Ext(4 * dimensions + number, lengths + value.tobytes())
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Mapping):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from hil.recording.transform_tree import FrameTree, recorded_offset
 from hil.recording.urdf import urdf
 
 if TYPE_CHECKING:
-    from hil.recording.ros_messages import CycleMessages, Message
+    from hil.recording.ros_messages import CycleMessages
 
 LOG = logging.getLogger(__name__)
 
@@ -76,15 +76,6 @@ class _WholeWrites:
         os.close(self._fd)
 
 
-class _Channel:
-    """A topic in the file, by the library's number for it, and how many messages it has."""
-
-    __slots__ = ("id", "sent")
-
-    def __init__(self, number: int) -> None:
-        self.id, self.sent = number, 0
-
-
 class RecordingFile:
     """The MCAP file itself; single-threaded.
 
@@ -105,7 +96,7 @@ class RecordingFile:
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
-        from mcap.writer import CompressionType, IndexType, Writer
+        from hil.recording.mcap_chunks import ChunkedFile
 
         self._offset = recorded_offset(header)
         self._wall_ns = 0 if self._offset is None else self._offset.offset_ns
@@ -115,16 +106,11 @@ class RecordingFile:
         self._kinds = recorded_kinds(header)
         added = tuple(kind for kind in self._kinds if kind.name not in KINDS)
         self._codec = CycleCodec(added)
-        self._channels: dict[str, _Channel] = {}
         self._messages: CycleMessages | None = None
         self._flushed_ns: int | None = None
         self._log_ns = -1
         self.flushed = self.unflushed = 0
-        indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA  # there are no attachments
-        self._mcap = Writer(
-            self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30, index_types=indexes
-        )
-        self._mcap.start(profile="ros2", library=LIBRARY)
+        self._mcap = ChunkedFile(self._file, LIBRARY, self._wall_ns)
         self._mcap.add_metadata(
             METADATA,
             {
@@ -147,13 +133,11 @@ class RecordingFile:
 
             topics = topics_with(self._kinds)
             schemas = {
-                name: self._mcap.register_schema(name, "ros2msg", definition(name).encode())
-                for name in sorted(set(topics.values()))
+                name: self._mcap.add_schema(name, definition(name)) for name in sorted(set(topics.values()))
             }
             for topic, name in topics.items():
                 about = {"offered_qos_profiles": _QOS.get(topic, "")}
-                number = self._mcap.register_channel(topic, "cdr", schemas[name], about)
-                self._channels[topic] = _Channel(number)
+                self._mcap.add_topic(topic, schemas[name], about)
             self._messages = CycleMessages(self._kinds, self._frames, self._wall_ns)
         return self._messages
 
@@ -162,32 +146,24 @@ class RecordingFile:
         self._log_ns = max(t_ns + self._wall_ns, self._log_ns + 1)
         return self._log_ns
 
-    def _add(self, log_ns: int, items: Iterable[Message]) -> None:
-        """Add messages, all logged at one time; none counts as published after it."""
-        add_message, channels, wall_ns = self._mcap.add_message, self._channels, self._wall_ns
-        for topic, t_ns, data in items:
-            channel, t_ns = channels[topic], min(t_ns + wall_ns, log_ns)
-            add_message(channel.id, log_ns, data, t_ns if t_ns > 0 else 0, channel.sent & 0xFFFFFFFF)
-            channel.sent += 1
-
     def add_cycle(self, record: CycleRecord) -> None:
         """Add one cycle; flushes by the records' own time."""
         now_ns, messages = record.start_ns, self.begin()
         encoded = self._codec.encode(record)
         log_ns = self._next_log_ns(now_ns)
-        self._add(log_ns, [messages.cycle(record.inputs.t_ns, encoded)])
+        self._mcap.add(log_ns, [messages.cycle(record.inputs.t_ns, encoded)])
         self.unflushed += 1
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
-            self._add(log_ns, messages.first(now_ns, self._description))
-        self._add(log_ns, messages.of(record))
+            self._mcap.add(log_ns, messages.first(now_ns, self._description))
+        self._mcap.add(log_ns, messages.of(record))
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns
             self.flush()
 
     def add_note(self, t_ns: int, note: str) -> None:
         """Add one free note."""
-        self._add(self._next_log_ns(t_ns), [self.begin().note(t_ns, note)])
+        self._mcap.add(self._next_log_ns(t_ns), [self.begin().note(t_ns, note)])
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the operating system."""

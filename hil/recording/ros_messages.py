@@ -18,8 +18,8 @@ Message = tuple[str, int, bytes]
 """Topic, time of measurement (bench clock, ns), CDR bytes."""
 
 _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
-_PLANAR = (0, 1, 5, 6, 7, 11, 30, 31, 35)
-"""Indices of x, y and rotation about z in a covariance (6, 6), flattened to 36 numbers."""
+_BODY = WALL, BODY
+_NONE3, _NONE18 = (0.0,) * 3, (0.0,) * 18
 
 
 def transforms(t_ns: int, frames: Sequence[Frame], ros: MessageMaker) -> bytes:
@@ -47,12 +47,10 @@ def _place(planar: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return (x_m, y_m, 0.0), (math.cos(0.5 * theta_rad), 0.0, 0.0, math.sin(0.5 * theta_rad))
 
 
-def _of_six(planar: Array) -> list[float]:
+def _of_six(planar: Array) -> tuple[float, ...]:
     """Covariance (36,) of a pose or twist in space from that of x, y and rotation about z, (3, 3)."""
-    whole = [0.0] * 36
-    for place, value in zip(_PLANAR, planar.ravel().tolist(), strict=True):
-        whole[place] = value
-    return whole
+    (a, b, c), (d, e, f), (g, h, i) = planar.tolist()
+    return (a, b, *_NONE3, c, d, e, *_NONE3, f, *_NONE18, g, h, *_NONE3, i)
 
 
 def _odometry(state: RobotState, ros: MessageMaker) -> bytes | None:
@@ -60,7 +58,7 @@ def _odometry(state: RobotState, ros: MessageMaker) -> bytes | None:
     forward, left, spin = state.twist_body.tolist()
     pose = (*pose_numbers(*_place(state.pose_body_in_wall)), *_of_six(state.covariance[:3, :3]))
     twist = (forward, left, 0.0, 0.0, 0.0, spin, *_of_six(state.covariance[3:, 3:]))
-    return ros.numbers(state.t_ns, (WALL, BODY), (*pose, *twist))
+    return ros.numbers(state.t_ns, _BODY, (*pose, *twist))
 
 
 class CycleMessages:
@@ -94,24 +92,29 @@ class CycleMessages:
 
     def of(self, record: CycleRecord) -> Iterator[Message]:
         """Messages of one cycle, generated lazily; to be called with the cycles in order."""
-        for topic, t_ns, made in self._made(record):
-            if made is not None:  # a sample without the values that its message needs
-                yield topic, t_ns, to_cdr(made)
-
-    def _made(self, record: CycleRecord) -> Iterator[tuple[str, int, Any]]:
         inputs, state, ros = record.inputs, record.state, self._ros
         if self._frames.follow(record):
-            body = Frame(WALL, BODY, *_place(state.pose_body_in_wall))
-            start = self._frames.camera_start
-            moving = (body,) if start is None else (body, start)
-            yield "/tf", state.t_ns, transforms(state.t_ns, moving, ros)
+            moving, start = (
+                [(_BODY, pose_numbers(*_place(state.pose_body_in_wall)))],
+                self._frames.camera_start,
+            )
+            if start is not None:
+                names = start.parent, start.child
+                moving.append((names, pose_numbers(start.position_m, start.quaternion_wxyz)))
+            yield "/tf", state.t_ns, cdr.transforms(ros.stamp(state.t_ns), moving)
         yield "/clock", record.start_ns, cdr.clock(ros.stamp(record.start_ns))
         for topic, samples, message in self._topics:
             for sample in samples(inputs):
-                yield topic, sample.stamp.t_ns, message(sample, ros)
-        yield "/odom", state.t_ns, _odometry(state, ros)
+                made = message(sample, ros)
+                if made is not None:  # a sample without the values that its message needs
+                    yield topic, sample.stamp.t_ns, to_cdr(made)
+        odometry = _odometry(state, ros)
+        if odometry is not None:
+            yield "/odom", state.t_ns, odometry
         if record.reference is not None:
             place = _place(record.reference.pose_in_wall)
-            yield "/reference", inputs.t_ns, ros.pose_stamped(inputs.t_ns, WALL, *place)
+            pose = ros.pose_stamped(inputs.t_ns, WALL, *place)
+            if pose is not None:
+                yield "/reference", inputs.t_ns, pose
         for event in record.events:
-            yield "/hil/events", event.t_ns, log(event, ros)
+            yield "/hil/events", event.t_ns, to_cdr(log(event, ros))

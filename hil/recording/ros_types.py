@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -97,7 +98,10 @@ class MessageMaker:
 
     def stamp(self, t_ns: int) -> cdr.Stamp:
         """Seconds and nanoseconds of a time on the bench clock, clipped likewise."""
-        return divmod(min(max(0, t_ns + self._wall_ns), _LATEST_NS), NS_PER_S)
+        t_ns += self._wall_ns
+        if not 0 <= t_ns <= _LATEST_NS:
+            t_ns = min(max(0, t_ns), _LATEST_NS)
+        return divmod(t_ns, NS_PER_S)
 
     def header(self, t_ns: int, frame: str) -> Any:
         """`std_msgs/Header` of a time on the bench clock and the frame of the values."""
@@ -127,9 +131,11 @@ class MessageMaker:
 
         None if a value is not finite: no other field could tell a reader so.
         """
-        if not all(map(math.isfinite, values)):
+        if not all_finite(values):
             return None
-        return cdr.stamped(self.stamp(t_ns), tuple(map(self._named, texts)), values)
+        if self._named is not str:
+            texts = tuple(map(self._named, texts))
+        return cdr.stamped(self.stamp(t_ns), texts, values)
 
     def joints(
         self,
@@ -144,17 +150,22 @@ class MessageMaker:
         A column without any number is empty, and a joint with a value that is not finite is left out. None
         if no joint is left.
         """
-        columns = [np.asarray(column, dtype=np.float64) for column in (position, velocity, effort)]
-        if not all(all(map(math.isfinite, column.tolist())) for column in columns):
+        columns = [_floats(position), _floats(velocity), _floats(effort)]
+        if not all(map(all_finite, columns)):
             finite = [np.isfinite(column) for column in columns]
             given = [there for there in finite if there.any()]
             known = np.all(given, axis=0) if given else np.zeros(len(names), dtype=bool)
             if not known.any():
                 return None
-            names = tuple(name for name, there in zip(names, known, strict=True) if there)
+            names = tuple(compress(names, known))
             pairs = zip(columns, finite, strict=True)
-            columns = [column[known] if there.any() else column[:0] for column, there in pairs]
+            columns = [list(compress(column, known)) if there.any() else [] for column, there in pairs]
         return cdr.joint_state(self.stamp(t_ns), names, columns)
+
+
+def all_finite(values: Sequence[float]) -> bool:
+    """Whether plain numbers are all finite: a sum is, unless one is not or the sum is too large."""
+    return math.isfinite(sum(values)) or all(map(math.isfinite, values))
 
 
 def _floats(values: Sequence[float] | Array) -> Sequence[float]:

@@ -66,6 +66,9 @@ def imu_message(sample: ImuSample, ros: MessageMaker) -> bytes | None:
     """
     w, x, y, z = sample.quaternion_wxyz.tolist()
     rates, force = sample.gyro_rad_s.tolist(), sample.specific_force_m_s2.tolist()
+    if math.isfinite(w + x + y + z + sum(rates) + sum(force)):
+        whole = (x, y, z, w, *_UNKNOWN, *rates, *_UNKNOWN, *force, *_UNKNOWN)
+        return ros.numbers(sample.stamp.t_ns, ("imu",), whole)
     parts = ((x, y, z, w), rates, force)
     known = [all(map(math.isfinite, part)) for part in parts]
     values = [
