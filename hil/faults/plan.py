@@ -96,7 +96,7 @@ class FaultPlan:
             raise FaultNotSupportedError(
                 f"fault {fault.device}:{fault.kind}: no emulated device of that name",
                 expected="one of " + ", ".join(sorted(self._supported)),
-                remedy=which_device(fault.device, self._supported) or "faults are refused on real hardware",
+                remedy=which_device(fault.device, self._supported),
             )
         kinds = self._supported[fault.device]
         if fault.kind not in kinds:

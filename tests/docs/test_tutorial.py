@@ -17,7 +17,7 @@ BLOCK = re.compile(
 
 PYTHON = shlex.quote(sys.executable)
 RUN = {"hil": f"{PYTHON} -m hil ", "python": f"{PYTHON} "}
-STOPS = {"hil run climb.py --fault tracker:off@1"}
+STOPS = {"hil run climb.py --fault tracker:silent@1"}
 """Lines of which the page says that they end with exit code 3."""
 
 

@@ -32,7 +32,7 @@ def controller() -> Iterator[None]:
 
 @pytest.mark.needs("servos", "mocap", "tracker")
 @pytest.mark.controller("ros2:/joint_commands")
-@pytest.mark.fault("tracker", "off", at=4.0, duration=1.0)
+@pytest.mark.fault("tracker", "silent", at=4.0, duration=1.0)
 def test_it_ends_where_it_should_through_a_blind_camera(controller: None, bench: Bench) -> None:
     """The estimate goes on by wheels and inertial unit meanwhile."""
     start = enable_hold(bench)
