@@ -54,6 +54,7 @@ PLACES = {
     "robot": (2.6, 8.4),
     "core": (2.6, 9.4),
     "support": (4.2, 8.4),
+    "user_code": (5.6, 7.4),
 }
 """Column and row of each room: chosen so that few arrows run behind a box."""
 NEW = (5.6, 0)

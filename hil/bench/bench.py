@@ -35,10 +35,10 @@ from hil.loop.driven_motion import Motion
 from hil.loop.pipeline import ControlPipeline
 from hil.loop.realtime import warm_up
 from hil.loop.timing import LoopStatistics
-from hil.loop.user_parts import own_name
 from hil.recording.cycle_log import CycleLog
 from hil.recording.runs import START_COVARIANCE, RunStart
 from hil.robot.trajectories import Trajectory
+from hil.user_code.checked_calls import own_name
 
 LOG = logging.getLogger(__name__)
 

@@ -150,11 +150,11 @@ class BenchRequest:
         """
         from hil.faults.files import read_faults
         from hil.procedure.bench_source import BenchSource
-        from hil.procedure.user_controllers import check_named
+        from hil.user_code.roles import CONTROLLER
 
         own = "" if self.controller in LAWS else self.controller
         if self.controller and not self.ros2_topic:
-            check_named(self.controller)
+            CONTROLLER.check(self.controller)
             overrides = {**overrides, **({} if own else {"control.law": self.controller})}
         if self.ros2_wait is not None:
             overrides = {**overrides, "ros2.wait_share": self.ros2_wait}

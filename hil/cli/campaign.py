@@ -130,10 +130,10 @@ def command(
         request.ros2_domain,
     )
     if request.controller:
-        from hil.procedure.user_controllers import check_named
+        from hil.user_code.roles import CONTROLLER
 
         if not request.ros2_topic:
-            check_named(request.controller)
+            CONTROLLER.check(request.controller)
         if scheduler and request.controller not in LAWS:
             raise UsageError(
                 f"--controller {request.controller} is not sent to other computers",

@@ -133,13 +133,14 @@ def command(
     from hil.datasets.topic_draft import draft
     from hil.datasets.trajectory_files import write_trajectories
     from hil.replay.estimator_comparison import sensors_text
+    from hil.replay.estimator_states import unknown_states, unusable_states
     from hil.replay.recordings import open_recording
     from hil.replay.truth_errors import RELATIVE_M, paths_of
-    from hil.replay.user_estimators import check_named, unknown_states, unusable_states
     from hil.support.atomic_files import check_ending, check_file, check_folder
+    from hil.user_code.roles import ESTIMATOR
 
     for named in estimators:
-        check_named(named)
+        ESTIMATOR.check(named)
     if page is not None:
         check_ending(page, ".html")
         check_file(page)
@@ -212,10 +213,10 @@ def _compared(
     opened: OpenedRecording, run: RecordedRun, named: tuple[str, ...], align: str, over_m: float
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
     from hil.replay.estimator_comparison import compare_run, table
-    from hil.replay.user_estimators import make_own
+    from hil.user_code.roles import ESTIMATOR
 
     kinds = [name for name in named if name in COMPARED]
-    own = {name: make_own(name, opened.bench) for name in named if name not in COMPARED}
+    own = {name: ESTIMATOR.make(name, opened.bench) for name in named if name not in COMPARED}
     motions = compare_run(
         run, opened.bench, kinds, own=own, source=str(opened.path), recorded=not opened.foreign
     )

@@ -14,7 +14,7 @@ from hil.core.geometry import Array
 from hil.core.third_party_errors import of_a_script
 from hil.robot.trajectories import Trajectory, through
 from hil.support.file_reading import read_text
-from hil.support.script_file import run_file
+from hil.user_code.script_file import run_file
 
 MOST_WAYPOINTS = 10_000
 _MOST_BYTES = 16 << 20

@@ -28,7 +28,7 @@ from hil.loop.alignment import Alignment
 from hil.loop.cycle_data import NO_INFLATION, Cycle
 from hil.loop.resume_motion import Restart
 from hil.loop.supervisor import Supervisor
-from hil.loop.user_parts import call_controller, checked_update, own_name, reset_estimator
+from hil.user_code.checked_calls import call_controller, checked_update, own_name, reset_estimator
 
 OUTSIDE = "loop"
 """Source of the event in the last record of a run that was ended by something other than its pipeline."""
@@ -62,7 +62,7 @@ def _untimed(section: str) -> None:
 class ControlPipeline:
     """Supervisor, alignment, estimator and controller in their fixed order.
 
-    Estimator, controller and observers may be user-supplied: `hil.loop.user_parts` checks their results.
+    Estimator, controller and observers may be the user's: `hil.user_code.checked_calls` checks their results.
 
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.

@@ -17,7 +17,7 @@ from hil.core.errors import UsageError
 from hil.core.interfaces import CommandingSink, Sink
 from hil.core.known_names import ROS2
 from hil.faults.fault import Fault
-from hil.procedure.user_controllers import make_own
+from hil.user_code.roles import CONTROLLER
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -137,7 +137,7 @@ class BenchSource:
     def _attach(self, bench: Bench) -> None:
         """Attach the publishing sink and the controller to a bench."""
         if self.controller and not self.on_ros2:
-            bench.own_controller = partial(make_own, self.controller)
+            bench.own_controller = partial(CONTROLLER.make, self.controller)
         sink = None if self.publish is None else self.publish(bench.header())
         if sink is not None:
             bench.add_sink(sink)

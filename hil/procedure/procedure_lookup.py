@@ -15,7 +15,7 @@ from hil.core.registry import kinds
 from hil.procedure.declaration import Procedure
 from hil.procedure.shipped import SHIPPED_FOLDER, shipped_names
 from hil.support.atomic_files import check_name
-from hil.support.script_file import run_file
+from hil.user_code.script_file import run_file
 
 SHIPPED = "hil.procedures"
 

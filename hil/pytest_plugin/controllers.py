@@ -11,7 +11,7 @@ import pytest
 from hil.core.errors import UsageError
 from hil.core.known_names import HIGHEST_DOMAIN, LAWS, ROS2
 from hil.procedure.bench_source import BenchSource
-from hil.procedure.user_controllers import check_named
+from hil.user_code.roles import CONTROLLER
 
 if TYPE_CHECKING:
     from hil.config.ros2 import Ros2Config
@@ -43,7 +43,7 @@ def driven(item: pytest.Item, source: BenchSource) -> BenchSource:
     if named.startswith(ROS2):
         publisher = _publisher(item.config, named.removeprefix(ROS2), source.config.ros2, domain)
         return replace(source, controller=named, publish=publisher.sink)
-    check_named(named)
+    CONTROLLER.check(named)
     if named in LAWS:
         return source.changed(overrides={"control.law": named})
     return replace(source, controller=named)

@@ -23,10 +23,10 @@ from hil.core.third_party_errors import of_a_script
 from hil.datasets.sampling import beside_rows, is_slow
 from hil.estimator.nees import autocorrelation, nees
 from hil.loop.driven_motion import Motion
-from hil.loop.user_parts import checked_update, reset_estimator
 from hil.recording.runs import RecordedRun
 from hil.replay.truth_errors import RELATIVE_M, errors, samples_of
 from hil.robot.kinematics import WheelGeometry
+from hil.user_code.checked_calls import checked_update, reset_estimator
 
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
 """Names of sensors by their fields of `Measurements`."""

@@ -8,8 +8,8 @@ import pytest
 from hil.bench import make_bench_model
 from hil.cli import main
 from hil.core.errors import ConfigError
-from hil.procedure.user_controllers import check_named, make_own
 from hil.recording.runs import read_runs
+from hil.user_code.roles import CONTROLLER
 
 MINE = """
 import numpy as np
@@ -123,13 +123,13 @@ def test_a_class_of_ones_own_drives_what_the_procedure_asks_for(here, capsys):
 
 @pytest.mark.parametrize("named", ["mine.py:Ahead", "mine.py:Fuller", "mine.py:ahead_of", "nonlinear"])
 def test_what_can_be_called_is_not_refused(here, named):
-    check_named(named)
+    CONTROLLER.check(named)
 
 
 def test_what_a_function_makes_is_looked_at_too(here):
     (here / "made.py").write_text("from mine import Short\n\n\ndef short(bench):\n    return Short(bench)\n")
     with pytest.raises(ConfigError, match=r"made\.py:short: update\(state, reference\) cannot be called"):
-        make_own("made.py:short", make_bench_model("emulated"))
+        CONTROLLER.make("made.py:short", make_bench_model("emulated"))
 
 
 def test_a_law_is_that_of_the_bench_for_this_run(here, capsys):

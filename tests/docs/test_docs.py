@@ -12,9 +12,9 @@ import pytest
 import hil
 from hil.bench import make_bench_model
 from hil.cli import main
-from hil.procedure.user_controllers import check_named, make_own
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot import trajectories
+from hil.user_code.roles import CONTROLLER
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
@@ -95,8 +95,8 @@ def test_every_test_runs_as_printed(tmp_path):
     for name, (block,) in {**named, "bench": [python_block("pytest.mark.fault")]}.items():
         (tmp_path / f"test_{name}.py").write_text(block)
     named_on_a_line = f"{tmp_path / 'test_controller.py'}:FeedForward"
-    check_named(named_on_a_line)
-    assert 0.02 < make_own(named_on_a_line, make_bench_model("emulated")).radius_m < 0.03
+    CONTROLLER.check(named_on_a_line)
+    assert 0.02 < CONTROLLER.make(named_on_a_line, make_bench_model("emulated")).radius_m < 0.03
     reported = run("-m", "pytest", "-q", cwd=tmp_path)
     assert "3 passed" in reported
     assert "NOT HELD" not in reported

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from hil.core.errors import ConfigError, did_you_mean, shown_path
 from hil.core.third_party_errors import of_a_script
-from hil.support.script_file import look_for_modules_in, run_file
+from hil.user_code.script_file import look_for_modules_in, run_file
 
 Parts = Sequence[str] | Mapping[str, Sequence[str]]
 """Methods that something made must have; a mapping gives the names of the arguments each is called with."""

@@ -1,0 +1,1 @@
+"""Code of the user: files that are run, classes named on a command line, and results that are checked."""
