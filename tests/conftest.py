@@ -76,6 +76,15 @@ def environment_kept():
         yield
 
 
+@pytest.fixture(scope="module")
+def cycles_alone():
+    """Recordings of this module's tests hold cycles and notes, without the topics that ROS 2 would read."""
+    from hil.recording.ros_messages import CycleMessages  # loads rosbags
+
+    with mock.patch.object(CycleMessages, "of", return_value=()):
+        yield
+
+
 @pytest.fixture(scope="session")
 def template():
     """What commands are forked from."""

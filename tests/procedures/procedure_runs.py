@@ -26,6 +26,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+AS_SHIPPED = {"loop.rate_hz": 100.0}
+"""For what depends on how often the bench looks."""
 SAFE_HEADING_RAD = math.radians(15.0)
 
 
@@ -86,9 +88,13 @@ def assert_still(benches):
 
 
 def watched(name: str, faults: Iterable[str] = (), **source: Any) -> WatchedSource:
-    """The bench of a procedure, or another one, that keeps the benches which it has opened."""
+    """The bench of a procedure, or another one, that keeps the benches which it has opened.
+
+    At half the usual rate, unless its overrides say otherwise.
+    """
     bench = source.pop("bench", None) or load_procedure(name).bench
-    return WatchedSource(bench, faults=read_faults(faults), **source)
+    overrides = {"loop.rate_hz": 50.0, **source.pop("overrides", {})}
+    return WatchedSource(bench, faults=read_faults(faults), overrides=overrides, **source)
 
 
 def options_of(folder: Path, parameters: dict[str, Any] | None = None, **more: Any) -> RunOptions:

@@ -9,6 +9,7 @@ from hil.config.robot_record import NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
 from hil.procedure import BenchSource
 from hil.report.ablation_figure import EVERYTHING, NOTHING
+from tests.patience import FANLESS
 
 SCALE, LENGTH_M = 0.77, 0.3
 LINE = {"cases": ["x_line"], "length_m": LENGTH_M, "duration_s": 10.0, "hold_s": 0.5, "processes": 1}
@@ -42,7 +43,7 @@ def test_a_line_that_a_check_ends_counts_as_far_as_it_came(tmp_path):
         LINE,
         bench="emulated",
         seed=3,
-        overrides=with_known_camera(tmp_path),
+        overrides=FANLESS | with_known_camera(tmp_path),
     )
     wall = done.result.facts["data"]["wall"]
     assert wall[NOTHING]["x_line"]["end_m"] > 0.1 * LENGTH_M

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from procedure_runs import assert_covered, fragment_of, part, run, true_world
+from procedure_runs import AS_SHIPPED, assert_covered, fragment_of, part, run, true_world
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench
@@ -34,7 +34,7 @@ def believed(seed, wrong):
 
 def bring_up(seed, folder, wrong, parameters=SHORT):
     """The run; the signs that it leaves and its verdict are those of the hidden truth."""
-    done = run("bring_up", folder, parameters, seed=seed, overrides=believed(seed, wrong))
+    done = run("bring_up", folder, parameters, seed=seed, overrides=AS_SHIPPED | believed(seed, wrong))
     done.assert_held()
     assert fragment_of(folder)["alignment"] == {"drive_sign": [1] * 4, "steer_sign": [1] * 4}
     assert done.result.verdict.value in (("FAIL",) if wrong else ("PASS", "MARGINAL")), done.failed
@@ -81,7 +81,9 @@ def test_gaps_that_this_computer_made_are_reported_as_its_own(tmp_path, monkeypa
 
     monkeypatch.setattr(ControlLoop, "cycle", at_times_late)
     parameters = BRIEF | {"devices": "servos,imu,mocap"}  # lies wrong: it is watched, and nothing moves
-    done = run("bring_up", tmp_path / "run", parameters, bench="emulated_floor", overrides=STANDS_UP)
+    done = run(
+        "bring_up", tmp_path / "run", parameters, bench="emulated_floor", overrides=AS_SHIPPED | STANDS_UP
+    )
     assert_gap_is_reported(done, 0.06)
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from procedure_runs import (
+    AS_SHIPPED,
     assert_covered,
     assert_covered_over_twenty_seeds,
     fragment_of,
@@ -38,7 +39,7 @@ def hidden(seed):
 def recover(seed, folder):
     """(errors over stated uncertainties, run) of one seed."""
     truth, yaw = hidden(seed)
-    overrides = {"emulation.imu": truth}
+    overrides = AS_SHIPPED | {"emulation.imu": truth}
     done = run("imu_calibration", folder, SHORT, seed=seed, overrides=overrides)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     done.assert_held()

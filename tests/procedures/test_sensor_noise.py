@@ -17,6 +17,7 @@ from hil.estimator.tuning import with_values
 from hil.procedures import sensor_noise
 from hil.recording.runs import START_COVARIANCE
 from tests.estimator.noisy_drives import GEOMETRY, Noise, driven
+from tests.selected import every
 
 
 class TakenAway:
@@ -67,7 +68,7 @@ def noise_of(gyro, camera):
     return replace(own, gyro=gyro * own.gyro, **scaled)
 
 
-@pytest.mark.parametrize(("gyro", "camera"), [(1.0, 1.0), (3.0, 1 / 3), (1 / 3, 3.0)])
+@pytest.mark.parametrize(("gyro", "camera"), every(2, [(3.0, 1 / 3), (1.0, 1.0), (1 / 3, 3.0)]))
 def test_the_filter_is_as_sure_as_it_may_be_with_what_was_found(learnt, gyro, camera):
     noise = noise_of(gyro, camera)
     rest, run = runs_of(noise, seed=4)

@@ -19,8 +19,8 @@ from hil.procedures.surface_identification.slip import rate
 QUICK = {
     "length_m": "0.2",
     "repetitions": "2",
-    "hold_from_deg": "22",
-    "hold_to_deg": "38",
+    "hold_from_deg": "24",
+    "hold_to_deg": "36",
     "hold_step_deg": "2",
 }
 WHOLE = {"length_m": "0.4", "hold_step_deg": "1"}
@@ -28,7 +28,7 @@ DAMPING_N_S_M = 30.0
 
 
 def identify(folder, seed=0, parameters=QUICK, **source):
-    source = BenchSource(seed=seed, **source)
+    source = BenchSource(seed=seed, overrides={"loop.rate_hz": 50.0}, **source)
     result = run_procedure(surface_identification.run, source, options_of(folder, dict(parameters)))
     return result, {row["name"]: row["value"] for row in result.measurements}
 

@@ -79,13 +79,15 @@ def recover(seed, folder, parameters=SHORT, scale=1.0, **source):
     return ((found - [*truth, true_scale]) / half).tolist(), done
 
 
-def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path):
-    ratios, done = recover(1, tmp_path / "run", QUICK)
+def test_a_camera_is_found_where_it_is_how_late_it_is_and_how_far_its_scale_is_off(tmp_path):
+    ratios, done = recover(1, tmp_path / "run", QUICK, scale=0.77)
     assert_covered(ratios, few=True)
+    assert done.values["scale"] == pytest.approx(0.77, abs=0.03)
     assert done.values["applied.position_rmse"] < 0.5 * done.values["before.position_rmse"]
 
 
-@pytest.mark.parametrize("scale", [0.77, pytest.param(1.28, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("scale", [0.77, 1.0, 1.28])
 def test_a_scale_that_is_far_off_is_found(tmp_path, scale):
     ratios, done = recover(4, tmp_path / "run", QUICK, scale=scale)
     assert done.values["scale"] == pytest.approx(scale, abs=0.03)

@@ -14,11 +14,13 @@ from hil.procedure.runner import run_procedure
 from hil.procedures import grid_scan
 
 SHORT_LINES = {"length_m": 0.3, "duration_s": 5.5, "hold_s": 0.5, "feedbacks": ["odometry", "ekf"]}
+BRIEF = {"safety.tethered": True, "thrust": None, "load_cells": None, "loop.rate_hz": 50.0}
+"""A bench that closes without a long look, at half the usual rate."""
 SHORT_SCAN = {"lanes": 2, "lane_length_m": 0.25, "hold_s": 0.5}
 
 
 def run(name, folder, *, faults=(), seed=0, overrides=None, **parameters):
-    overrides = {"safety.tethered": True, **(overrides or {})}  # its benches close without a long look
+    overrides = {**BRIEF, **(overrides or {})}
     source = BenchSource("emulated", seed=seed, faults=read_faults(faults), overrides=overrides)
     return run_procedure(load_procedure(name), source, options_of(folder, parameters))
 
