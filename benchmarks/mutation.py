@@ -84,7 +84,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "state_check": ("hil/loop/checks/state_valid.py", ("tests/core/test_state_check.py",)),
     "filter_watch": ("hil/loop/checks/filter_fit.py", ("tests/core/test_filter_watch.py",)),
     "own_parts": ("hil/user_code/checked_calls.py", ("tests/core/test_own_parts.py",)),
-    "held": ("hil/bench/hold/verdict.py", ("tests/bench/test_held_in_words.py",)),
+    "held": ("hil/bench/hold/held_state.py", ("tests/bench/test_held_in_words.py",)),
     "holding": (
         "hil/bench/hold/hold_check.py",
         (

@@ -22,7 +22,7 @@ The public classes and functions of the package. Units are SI and part of the na
 This page is written by `docs/make_python_reference.py` from the docstrings.
 """
 SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("A bench", "", ("hil.open_bench", "hil.Bench", "hil.bench.hold.verdict.Held")),
+    ("A bench", "", ("hil.open_bench", "hil.Bench", "hil.bench.hold.held_state.Held")),
     ("Motions", "", ("hil.robot.trajectories",)),
     (
         "Procedures",

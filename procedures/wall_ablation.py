@@ -21,7 +21,7 @@ from hil.core.geometry import ArrayLike
 from hil.core.signals import CycleRecord
 from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.parallel_drives import DriveJob
+from hil.procedure.parallel_benches import DriveJob
 from hil.procedure.record_parts import known_parts
 from hil.procedure.tracking_errors import REFERENCE_M, check_references, enable_hold, tracking_errors, unseen
 from hil.procedure.worker_processes import Workers

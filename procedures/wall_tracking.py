@@ -20,7 +20,7 @@ from hil.config.bench import BenchConfig
 from hil.core.geometry import ArrayLike
 from hil.core.known_names import ESTIMATORS, EstimatorName
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.parallel_drives import DriveJob
+from hil.procedure.parallel_benches import DriveJob
 from hil.procedure.tracking_errors import (
     belief_figure,
     check_references,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         planned_faults,
         supported_faults,
     )
-    from hil.bench.hold.verdict import Held
+    from hil.bench.hold.held_state import Held
     from hil.bench.loop_settings import alignment_parameters, safety_limits
     from hil.bench.opening import make_bench_model, open_bench
     from hil.drivers.servos.dynamixel.commissioning import set_up
@@ -30,7 +30,7 @@ else:
     _OFFERED = {
         "Bench": "hil.bench.bench",
         "Fault": "hil.faults.fault",
-        "Held": "hil.bench.hold.verdict",
+        "Held": "hil.bench.hold.held_state",
         "World": "hil.fakes.world",
         "alignment_parameters": "hil.bench.loop_settings",
         "check_fault_kind": "hil.faults.fault:check_kind",

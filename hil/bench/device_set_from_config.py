@@ -5,7 +5,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
-from hil.bench.device_within import DeviceWithin
+from hil.bench.device_proxy import DeviceWithin
 from hil.bench.further_device_errors import making, named
 from hil.bench.third_party.checked_driver import wrapped_driver
 from hil.config.bench import BenchConfig

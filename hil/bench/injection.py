@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 
 from hil.bench.by_hand import Hand, HandFaults
+from hil.bench.device_proxy import DeviceWithin
 from hil.bench.device_set_from_config import model_of
-from hil.bench.device_within import DeviceWithin
 from hil.bench.injected_travel import TravelBound, seeing_a_slide
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, Clock

@@ -7,7 +7,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.event_rows import GRAVE, EventRows
 from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord, Event
-from hil.core.stop_causes import SEPARATOR
+from hil.core.stop_suspects import SEPARATOR
 
 
 class SeenEvents(Sink):

@@ -13,7 +13,7 @@ from hil.campaign.ineffective_settings import in_a_sentence
 from hil.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, not_tested
 from hil.core.result_names import REPORT, RUNS
 from hil.report.page_figures import drawn_image
-from hil.report.pages import environment
+from hil.report.page_formats import environment
 from hil.report.plot_style import PALETTE, new_figure, style
 from hil.support.atomic_files import write_text
 

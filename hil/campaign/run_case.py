@@ -31,9 +31,9 @@ from hil.procedure.interrupts import PATIENCE_S, Interrupts
 from hil.procedure.operator import Answers, Terminal, tell
 from hil.procedure.parameters import split_settings
 from hil.procedure.procedure_lookup import file_and_name, load_procedure
-from hil.procedure.result_writer import KEEPING
 from hil.procedure.run_journal import read_journal
 from hil.procedure.run_outputs import Keep
+from hil.procedure.run_result import KEEPING
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.result_reader import read_result
 from hil.report.run_page import write_run_page
@@ -226,7 +226,7 @@ def _is_unwritten(error: HilError, folder: str) -> bool:
 
 def _unwritten(tree: Mapping[str, Any], folder: str) -> str:
     """Return why results could not be written, from the content of `result.json`; empty if they were."""
-    from hil.procedure.result_writer import KEEPING
+    from hil.procedure.run_result import KEEPING
 
     first, late = tree.get("error"), tree.get("teardown_errors", ())
     for error in ([first] if first else []) + [e for e in late if e["step"] == KEEPING]:

@@ -296,7 +296,7 @@ def _line(error: str) -> str:
 def _text(tree: dict[str, Any]) -> str:
     from hil.campaign.ineffective_settings import in_a_sentence
     from hil.campaign.table import in_words
-    from hil.report.pages import number
+    from hil.report.page_formats import number
 
     lines = []
     for group in tree["groups"]:

@@ -124,7 +124,7 @@ def print_end(text: str, held: Mapping[str, Any]) -> None:
         text: the complete text.
         held: `Held.to_json` of the robot.
     """
-    from hil.bench.hold.verdict import held_in_words
+    from hil.bench.hold.held_state import held_in_words
 
     click.echo(text)
     if unreadable():

@@ -83,7 +83,7 @@ def _overrides(settings: tuple[str, ...]) -> dict[str, object]:
 
 
 def _text(summary: dict[str, Any]) -> str:
-    from hil.bench.hold.verdict import held_in_words
+    from hil.bench.hold.held_state import held_in_words
 
     lines = [
         f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip()

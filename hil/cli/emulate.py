@@ -93,7 +93,7 @@ class PortLinks:
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from hil.bench.hold.held_by_hand import EmulatedSupport
+    from hil.bench.hold.emulated_support import EmulatedSupport
     from hil.cli.emulate import PortLinks
 
 
@@ -152,7 +152,7 @@ def command(
     """
     from hil.bench import open_emulation
     from hil.bench.endpoints_file import EndpointsFile, await_endpoints
-    from hil.bench.hold.held_by_hand import EmulatedSupport
+    from hil.bench.hold.emulated_support import EmulatedSupport
     from hil.cli.emulate import PortLinks
     from hil.config.loading import NoSuchDevice, load_bench
     from hil.config.several_devices import resolve_device

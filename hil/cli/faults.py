@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from hil.cli.asked_faults import DEFAULTS, Asked, cells_at_links, on_devices
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import FAULT
+from hil.cli.fault_cells import DEFAULTS, Asked, cells_at_links, on_devices
 from hil.cli.interrupted_series import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting

@@ -281,7 +281,7 @@ def drive(session: LiveSession, folder: SessionFolder | None, view: str | None, 
         view: place where Rerun shows the session; None for nowhere.
         as_json: True to print one JSON object.
     """
-    from hil.bench.hold.verdict import seen_in_words
+    from hil.bench.hold.held_state import seen_in_words
 
     bench = session.bench
     if folder is not None:
@@ -349,7 +349,7 @@ def _report(session: LiveSession, folder: SessionFolder | None, *, as_json: bool
 
 
 def _text(summary: dict[str, Any]) -> str:
-    from hil.bench.hold.verdict import held_in_words
+    from hil.bench.hold.held_state import held_in_words
     from hil.core.event_rows import event_lines
 
     timing = summary["timing"]

@@ -1,6 +1,6 @@
 """Table of a running bench on a terminal: rate, age, state and values of every device, rewritten in place.
 
-The figures are those of the console (`hil.monitor.status_lines`). A thread writes them, so that a terminal
+The figures are those of the console (`hil.monitor.status_stream`). A thread writes them, so that a terminal
 that stands still (Ctrl-S) does not hold up the loop; figures that it cannot take are left out.
 """
 
@@ -16,7 +16,7 @@ from typing import Any, TextIO
 from hil.config.bench import BenchConfig
 from hil.core.clock import Clock
 from hil.core.kind_figures import Limited, unlimited
-from hil.monitor.status_lines import StatusStream
+from hil.monitor.status_stream import StatusStream
 
 _CLEAR = "\x1b[J"
 _LONGEST_WAIT_S = 1.0

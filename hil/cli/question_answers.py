@@ -95,7 +95,7 @@ def watching(*, table: bool = False) -> tuple[Callable[[BenchConfig], Sink], ...
     from hil.bench.third_party.call_timeout import with_time_limit
     from hil.cli.live_table import LiveTable
     from hil.core.clock import MonotonicClock
-    from hil.monitor.status_lines import StatusStream
+    from hil.monitor.status_stream import StatusStream
 
     if progress.for_a_program():
         return (partial(StatusStream, progress.tell, MonotonicClock(), limited=with_time_limit),)

@@ -158,7 +158,7 @@ def _print(kept: Kept) -> None:
 
 def _key_rows(kept: Kept) -> list[str]:
     """Rows of the most important measurements: failed ones, then those nearest to their limits."""
-    from hil.report.pages import digits_of, number
+    from hil.report.page_formats import digits_of, number
     from hil.report.run_summary import missing_words
 
     def nearness(row: Mapping[str, Any]) -> tuple[bool, float]:

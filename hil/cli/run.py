@@ -24,7 +24,7 @@ from hil.core.errors import HilError, shown_path
 from hil.core.result_names import JOURNAL
 
 if TYPE_CHECKING:
-    from hil.procedure.result_writer import Result
+    from hil.procedure.run_result import Result
     from hil.recording.mcap_writer import OnFailure
 
 
@@ -179,7 +179,7 @@ def _untested(result: Result) -> str:
 def _report_of(result: Result) -> tuple[str | None, int]:
     """Path of the report, None if it cannot be written, and the exit code of the run."""
     from hil.core.errors import HilError
-    from hil.procedure.result_writer import KEEPING
+    from hil.procedure.run_result import KEEPING
     from hil.report.run_page import write_run_page
 
     if any(e.step == KEEPING for e in result.teardown_errors):
@@ -209,9 +209,9 @@ def _plan_text(plan: dict[str, Any]) -> str:
 
 def text_of(result: Result) -> str:
     """A result as text: what ended the run, then the measurements, and the verdict."""
-    from hil.bench.hold.verdict import held_in_words
+    from hil.bench.hold.held_state import held_in_words
     from hil.core.event_rows import event_lines
-    from hil.report.pages import digits_of
+    from hil.report.page_formats import digits_of
     from hil.support.file_reading import printable
 
     lines = []

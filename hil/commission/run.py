@@ -26,8 +26,8 @@ from hil.procedure.interrupts import Interrupts
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Operator, Terminal, go_ahead
 from hil.procedure.parameters import make_parameters
-from hil.procedure.result_writer import Result
 from hil.procedure.run_journal import differences, read_journal
+from hil.procedure.run_result import Result
 from hil.procedure.runner import RunOptions, header_of, run_procedure
 from hil.report.commission_page import write_commission_page
 from hil.support.atomic_files import check_folder

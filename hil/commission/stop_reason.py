@@ -7,7 +7,7 @@ from typing import Any
 from hil.core.errors import HilError
 from hil.core.result_names import COMMISSIONING_TABLE
 from hil.procedure.measurements import Verdict
-from hil.procedure.result_writer import KEEPING, Result
+from hil.procedure.run_result import KEEPING, Result
 from hil.report.run_page import write_run_page
 
 

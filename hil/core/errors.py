@@ -14,7 +14,7 @@ from numbers import Real
 from pathlib import Path
 
 from hil.core.rounding import digits_apart
-from hil.core.stop_causes import suspects_of
+from hil.core.stop_suspects import suspects_of
 
 EXIT_PASS = 0
 EXIT_LIMIT_FAILED = 1

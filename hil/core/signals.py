@@ -18,7 +18,7 @@ from hil.core.errors import UsageError
 from hil.core.external_commands import ExternalCommands
 from hil.core.geometry import Array
 from hil.core.known_names import KINDS as KINDS
-from hil.core.stop_causes import SEPARATOR
+from hil.core.stop_suspects import SEPARATOR
 
 WHEELS = ("FL", "BL", "BR", "FR")
 DRIVES, STEERS = tuple(f"drive_{w}" for w in WHEELS), tuple(f"steer_{w}" for w in WHEELS)
@@ -470,7 +470,7 @@ class Event:
     """A reported event: a fault, a rejected sample, a stop, a mode change.
 
     `source` is the kind of the device concerned. Where one of several kinds may be the cause, it lists them
-    all (`hil.core.stop_causes`).
+    all (`hil.core.stop_suspects`).
 
     Attributes:
         distrusts: True if the samples of the source count for nothing from now on, in this run.

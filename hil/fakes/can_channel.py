@@ -1,7 +1,7 @@
 """The emulated CAN bus, in this process and in virtual time, as python-can interface `hil`.
 
 `CanChannel` is the bus. `CanChannel.open` registers it under a name, and
-`can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on it. `hil.fakes.can_server` connects other
+`can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on it. `hil.fakes.can_bridge` connects other
 processes.
 
 Emulated devices and our own drivers share `CanFrame` objects; only `recv` makes a `can.Message`, because

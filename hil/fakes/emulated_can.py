@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.device import Connection, import_object
+from hil.fakes.can_bridge import CanTransport
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.can_server import CanTransport
 from hil.fakes.emulated_can_group import DEFAULT_GROUP, DEFAULT_PORT, first_of_host, leave_port, take_port
 from hil.fakes.emulated_device import EmulatedDevice, EmulationRequest, Transport, Wired
 

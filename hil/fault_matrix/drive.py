@@ -15,7 +15,7 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import HilError
 from hil.core.event_rows import event_line
 from hil.core.geometry import Array
-from hil.core.stop_causes import SEPARATOR
+from hil.core.stop_suspects import SEPARATOR
 from hil.fault_matrix.cases import DURATION_S, Cell
 from hil.fault_matrix.judge import CellVerdict, judge
 from hil.fault_matrix.movement_bounds import WATCHED_S

@@ -15,7 +15,7 @@ from hil.fault_matrix.movement_bounds import (
     STILL_M,
     WATCHED_S,
 )
-from hil.report.pages import environment
+from hil.report.page_formats import environment
 from hil.support.atomic_files import put_whole, refused, write_text
 
 _HEAD = """# Reliability

@@ -1,4 +1,4 @@
-"""Serial ports by pyserial URL: local devices, and those of `network_ports`.
+"""Serial ports by pyserial URL: local devices, and those of `serial_over_tcp`.
 
 A local port reads without checking first whether bytes have come. It belongs to one program at a time: the
 first that opens it locks it.
@@ -17,7 +17,7 @@ import serial
 
 from hil.core.errors import DeviceError
 from hil.links.injection import FaultyPort, with_faults
-from hil.links.network_ports import RFC2217, SOCKET, open_network_port
+from hil.links.serial_over_tcp import RFC2217, SOCKET, open_network_port
 from hil.support.port_users import named, programs_with
 
 BY_ID = Path("/dev/serial/by-id")

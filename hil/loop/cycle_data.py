@@ -7,7 +7,7 @@ from typing import Any
 from hil.core.clock import nanoseconds
 from hil.core.errors import SafetyStop
 from hil.core.signals import Event, Inputs, Measurements, Reference, RobotState, Status, worst
-from hil.core.stop_causes import suspects_of
+from hil.core.stop_suspects import suspects_of
 
 Inflation = tuple[float, float]
 """Largest error of an estimate: m along each axis, rad of the heading."""

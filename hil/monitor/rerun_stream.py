@@ -16,7 +16,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
 from hil.core.registry import further
 from hil.core.signals import WHEELS, CycleRecord
-from hil.monitor import rerun_viewer, solid_geometry, wall_outlines
+from hil.monitor import plane_geometry, rerun_viewer, solid_geometry
 from hil.monitor.plot_series import Series, SeriesCollector, conditions, finite
 from hil.monitor.rerun_layout import PATH_COLOURS, Colour, Sight, blueprint, line_colours
 from hil.monitor.robot_view import RobotView
@@ -63,7 +63,7 @@ class RerunStream:
         self._extent: tuple[Array, Array] | None = None
         self._collector, self._moments = SeriesCollector(), Moments(scene)
         self._robot = RobotView(self._stream, scene)
-        self._trails: dict[str, wall_outlines.Trail] = {}
+        self._trails: dict[str, plane_geometry.Trail] = {}
         self._named: set[str] = set()
         self._conditions: dict[str, str] = {}
         self._latest: CycleRecord | None = None
@@ -182,7 +182,7 @@ class RerunStream:
             low, high = np.minimum(low, known_low), np.maximum(high, known_high)
         self._extent = (low, high)
         low, high = low - _VIEW_MARGIN_M, high + _VIEW_MARGIN_M
-        (left, top), (right, bottom) = np.sort(wall_outlines.to_view(np.stack([low, high])), axis=0).tolist()
+        (left, top), (right, bottom) = np.sort(plane_geometry.to_view(np.stack([low, high])), axis=0).tolist()
         self._robot.surface(low, high)
         tilt_rad = self._scene.tilt_rad
         eye, near = solid_geometry.overview(low, high, tilt_rad), solid_geometry.beside(tilt_rad)
@@ -194,7 +194,7 @@ class RerunStream:
         self._stream.set_time("cycle", sequence=record.cycle)
 
     def _trail(self, name: str, pose: Array) -> None:
-        self._trails.setdefault(name, wall_outlines.Trail()).add(float(pose[0]), float(pose[1]))
+        self._trails.setdefault(name, plane_geometry.Trail()).add(float(pose[0]), float(pose[1]))
 
     def _send_plots(self) -> None:
         for entity, series in self._collector.take():
@@ -216,7 +216,7 @@ class RerunStream:
         self, entity: str, strips: list[Array], colour: Colour, width_px: float, *, static: bool = False
     ) -> None:
         rr = self._rr
-        shown = [wall_outlines.to_view(s) for s in strips]
+        shown = [plane_geometry.to_view(s) for s in strips]
         radii = rr.Radius.ui_points(width_px)
         self._stream.log(
             f"wall/{entity}", rr.LineStrips2D(shown, colors=[colour], radii=radii), static=static
@@ -226,24 +226,24 @@ class RerunStream:
         rr, geometry = self._rr, self._scene.geometry
         pose, colour = record.state.pose_body_in_wall, PATH_COLOURS["estimate"]
         steering_rad, rate_rad_s = self._wheels
-        self._strip("robot/body", [wall_outlines.body_outline(pose, geometry)], colour, 1.5)
+        self._strip("robot/body", [plane_geometry.body_outline(pose, geometry)], colour, 1.5)
         if self._truth is not None:
-            outline = wall_outlines.body_outline(self._truth, geometry)
+            outline = plane_geometry.body_outline(self._truth, geometry)
             self._strip("robot/truth", [outline], PATH_COLOURS["truth"], 1.0)
         if finite(record.state.covariance[:2, :2]):
-            ellipse = wall_outlines.covariance_ellipse(pose, record.state.covariance)
+            ellipse = plane_geometry.covariance_ellipse(pose, record.state.covariance)
             self._strip("robot/covariance_95", [ellipse], colour, 0.75)
         self._send_observer_ellipses(record)
         if not (finite(steering_rad) and finite(rate_rad_s)):
             return
-        wheels = wall_outlines.wheel_segments(pose, steering_rad, geometry)
+        wheels = plane_geometry.wheel_segments(pose, steering_rad, geometry)
         self._strip("robot/wheels", list(wheels), (40, 40, 40), 4.0)
-        origins, vectors = wall_outlines.speed_arrows(pose, steering_rad, rate_rad_s, geometry)
+        origins, vectors = plane_geometry.speed_arrows(pose, steering_rad, rate_rad_s, geometry)
         speeds = rate_rad_s * geometry.radius_m
         labels = [f"{w} {1000.0 * v:.0f} mm/s" for w, v in zip(WHEELS, speeds, strict=True)]
         arrows = rr.Arrows2D(
-            origins=wall_outlines.to_view(origins),
-            vectors=wall_outlines.to_view(vectors),
+            origins=plane_geometry.to_view(origins),
+            vectors=plane_geometry.to_view(vectors),
             labels=labels,
             colors=[(230, 60, 60)],
         )
@@ -254,7 +254,7 @@ class RerunStream:
         for name, state in record.observers.items():
             pose, covariance = state.pose_body_in_wall, state.covariance
             if name != "odometry" and finite(covariance[:2, :2]) and finite(pose):
-                ellipse = wall_outlines.covariance_ellipse(pose, covariance)
+                ellipse = plane_geometry.covariance_ellipse(pose, covariance)
                 self._strip(f"{name}/covariance_95", [ellipse], PATH_COLOURS.get(name, _OTHER_COLOUR), 0.75)
 
     def _send_trails(self) -> None:

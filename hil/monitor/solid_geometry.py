@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core.geometry import Array, multiplied, quat_from_rotvec, quat_from_yaw, quat_rotate, rotation2
-from hil.monitor.wall_outlines import covariance_ellipse
+from hil.monitor.plane_geometry import covariance_ellipse
 from hil.robot.kinematics import WheelGeometry
 
 ARROW_M_PER_N = 0.004

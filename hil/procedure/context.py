@@ -11,7 +11,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.errors import HilError, UsageError
 from hil.procedure.declaration import Procedure
 from hil.procedure.measurements import Verdict
-from hil.procedure.parallel_drives import DriveJob, Result
+from hil.procedure.parallel_benches import DriveJob, Result
 from hil.procedure.run_benches import RunBenches
 from hil.procedure.run_options import RunOptions
 from hil.procedure.run_outputs import RunOutputs, as_json

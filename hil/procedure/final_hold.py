@@ -12,7 +12,7 @@ from hil.procedure.run_journal import Entry, Journal
 from hil.procedure.run_sinks import StepTimer
 
 if TYPE_CHECKING:
-    from hil.bench.hold.verdict import Held
+    from hil.bench.hold.held_state import Held
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class HoldRecord:
                 self._take_again(entry)
 
     def _take_again(self, entry: Entry) -> None:
-        from hil.bench.hold.verdict import Held
+        from hil.bench.hold.held_state import Held
 
         self.events += entry["events"]
         held = Held(entry["state"], entry["moved_m"], entry["why"], entry["wanted"])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from hil.core.interfaces import Sink
 from hil.procedure.device_history import DeviceHistory
 from hil.procedure.fit_history import FitHistory
-from hil.procedure.hold_history import HoldHistory
+from hil.procedure.holding_force_history import HoldHistory
 from hil.procedure.path_history import PathHistory
 
 

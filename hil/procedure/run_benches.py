@@ -13,13 +13,13 @@ from hil.config.robot_record.overlay import known_parts
 from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DataError, RecordingError
 from hil.core.registry import kinds
-from hil.procedure import device_history, fit_history, hold_history, path_history
+from hil.procedure import device_history, fit_history, holding_force_history, path_history
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.final_hold import HoldRecord
 from hil.procedure.histories import Histories
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.operator import go_ahead
-from hil.procedure.parallel_drives import DriveJob, Driven, Result, Sent, driven
+from hil.procedure.parallel_benches import DriveJob, Driven, Result, Sent, driven
 from hil.procedure.run_journal import PastRun
 from hil.procedure.run_options import RunOptions
 from hil.procedure.run_outputs import RunOutputs, slug
@@ -230,7 +230,7 @@ class RunBenches:
             taken = [s.recording for s in sent]
             path = self._recordings.path(job.label, taken) if job.label else None
             sent.append(Sent(job, path, self._recordings.on_failure))
-        from hil.bench.hold.verdict import abandoned
+        from hil.bench.hold.held_state import abandoned
 
         waiting = [(self.left.begin(one.job.label), one.recording) for one in sent]
         failed = False
@@ -292,7 +292,7 @@ class RunBenches:
             self._results.draw(path, "Path", path_history.CAPTION)
         hold = self._histories.hold.figure()
         if hold is not None:
-            self._results.draw(hold, "Adhesion", hold_history.CAPTION)
+            self._results.draw(hold, "Adhesion", holding_force_history.CAPTION)
         for name, figure in self._histories.devices.figures():
             self._results.draw(figure, kinds()[name].noun.capitalize(), device_history.CAPTION)
 

@@ -15,6 +15,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
 from hil.core.result_names import JOURNAL, RESULT
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.conclusion import conclude, facts_of, failure, not_held, without_effect
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import time_limit
@@ -22,7 +23,6 @@ from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.needed_devices import with_own_devices
 from hil.procedure.parameters import as_dict, described, make_parameters
 from hil.procedure.record_parts import keep_parts
-from hil.procedure.result_writer import KEEPING, Failure, Result, write_result
 from hil.procedure.run_benches import RunBenches
 from hil.procedure.run_journal import (
     SCHEMA,
@@ -35,7 +35,7 @@ from hil.procedure.run_journal import (
 )
 from hil.procedure.run_options import RunOptions
 from hil.procedure.run_outputs import RunOutputs
-from hil.procedure.run_verdict import conclude, facts_of, failure, not_held, without_effect
+from hil.procedure.run_result import KEEPING, Failure, Result, write_result
 from hil.robot.motion_limits import check
 from hil.support.atomic_files import make_folder, where_else
 

@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 
 from hil.bench import Bench
-from hil.bench.contract import Subject, at_rest, read_for
+from hil.bench.contract import Subject, interface_promises, read_for
 from hil.bench.contract.fault_effects import each_fault_acts
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.pose_at_rest import sees_no_motion
@@ -140,22 +140,22 @@ def subject(closed_bench: Bench, backend: str, kind: str, request: pytest.Fixtur
 
 def test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing(subject: Subject) -> None:
     """An open device has an identity, text by text, a closed one has none; closing twice is allowed."""
-    at_rest.says_what_it_is(subject)
+    interface_promises.says_what_it_is(subject)
 
 
 def test_it_can_be_opened_again(subject: Subject) -> None:
     """After it was closed, it delivers samples as before, without further commands."""
-    at_rest.opens_again(subject)
+    interface_promises.opens_again(subject)
 
 
 def test_reading_a_closed_device_is_a_named_error(subject: Subject) -> None:
     """Reading a closed device raises a `DeviceError` with the device's name."""
-    at_rest.closed_is_a_named_error(subject)
+    interface_promises.closed_is_a_named_error(subject)
 
 
 def test_samples_arrive_in_order_with_stamps_that_make_sense(subject: Subject) -> None:
     """Nearly all due samples arrive, are good, and have a stamp of their measurement."""
-    at_rest.samples_in_time(subject)
+    interface_promises.samples_in_time(subject)
 
 
 def test_it_loses_next_to_nothing(subject: Subject) -> None:
@@ -170,29 +170,29 @@ def test_a_robot_at_rest_is_seen_to_stand(subject: Subject) -> None:
 
 def test_no_data_is_never_a_number(subject: Subject) -> None:
     """Samples have the right type; arrays keep their shape; NaN marks values that were not received."""
-    at_rest.no_data_is_no_number(subject)
+    interface_promises.no_data_is_no_number(subject)
 
 
 def test_a_sample_is_delivered_once(subject: Subject) -> None:
     """No two samples have the same time and sequence number."""
-    at_rest.delivered_once(subject)
+    interface_promises.delivered_once(subject)
 
 
 def test_a_read_never_waits_for_the_next_sample(subject: Subject) -> None:
     """A read returns available samples without waiting; two of twenty may be late on a busy computer."""
-    at_rest.reads_do_not_wait(subject)
+    interface_promises.reads_do_not_wait(subject)
 
 
 def test_samples_are_recorded_bit_for_bit(subject: Subject) -> None:
     """A recording returns exactly what was written; each topic has a message for every sample."""
-    at_rest.recorded_bit_for_bit(subject)
+    interface_promises.recorded_bit_for_bit(subject)
 
 
 def test_the_same_seed_gives_the_same_samples(subject: Subject) -> None:
     """An emulated device takes random numbers only from the world's seed."""
     if subject.anew is None:
         pytest.skip("in virtual time only")
-    at_rest.same_seed_same_samples(subject)
+    interface_promises.same_seed_same_samples(subject)
 
 
 def test_each_declared_fault_changes_something(subject: Subject) -> None:

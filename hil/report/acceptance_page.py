@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.result_names import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
-from hil.report.pages import environment
+from hil.report.page_formats import environment
 from hil.support.atomic_files import staged
 
 

@@ -13,7 +13,7 @@ from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate, track_all
 from hil.calibration.problem import PARAMETER_NAMES
 from hil.report.overview import Drawn, Overview, Table, write_overview_folder
-from hil.report.pages import number
+from hil.report.page_formats import number
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 
 if TYPE_CHECKING:

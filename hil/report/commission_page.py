@@ -15,7 +15,7 @@ from hil.core.errors import ConfigError
 from hil.core.result_names import COMMISSIONING_PAGE
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.report.page_figures import figure_image, save_figure
-from hil.report.pages import duration, environment
+from hil.report.page_formats import duration, environment
 from hil.report.robot_table import part_rows
 from hil.support.atomic_files import put_whole, refused, write_text
 

@@ -17,7 +17,7 @@ from scipy import stats
 from hil.core.errors import DataError, UsageError
 from hil.core.result_names import CAMPAIGN_TABLE, LOST, PASSED, PLAN
 from hil.report.page_figures import drawn_image
-from hil.report.pages import environment, number
+from hil.report.page_formats import environment, number
 from hil.report.plot_style import PALETTE, new_figure, style
 from hil.report.result_reader import wrong_shape
 from hil.support.atomic_files import write_text

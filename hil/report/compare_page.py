@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import UsageError
-from hil.report.pages import environment, number, outcome_words
+from hil.report.page_formats import environment, number, outcome_words
 from hil.report.result_reader import read_result
 from hil.report.run_summary import grouped
 from hil.support.atomic_files import write_text

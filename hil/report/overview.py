@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from hil.report.page_figures import drawn_image, figure_image, save_figure
-from hil.report.pages import environment
+from hil.report.page_formats import environment
 from hil.support.atomic_files import staged, write_text
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from hil.core.geometry import Array, wrap_array
 from hil.estimator.nees import nees
 from hil.loop.driven_motion import Motion
 from hil.report.overview import Drawn, Overview, Table, write_overview
-from hil.report.pages import number
+from hil.report.page_formats import number
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, plain_log, share_scale, style, thin
 
 if TYPE_CHECKING:

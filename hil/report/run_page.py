@@ -16,7 +16,7 @@ from hil.core.call_chain import in_words
 from hil.core.errors import DataError
 from hil.core.result_names import REPORT, RESULT
 from hil.report.page_figures import figure_image
-from hil.report.pages import digits_of, duration, environment, outcome_words
+from hil.report.page_formats import digits_of, duration, environment, outcome_words
 from hil.report.result_reader import address, inside, own_file, read_result
 from hil.report.run_summary import grouped, sentence
 from hil.support.atomic_files import write_text

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.core.rounding import digits_apart
-from hil.report.pages import as_people_read, limit_words, quantity
+from hil.report.page_formats import as_people_read, limit_words, quantity
 
 _WHEEL = re.compile(r"^(?:steer|drive|wheel)_(FL|BL|BR|FR)$")
 _CASES = {"x_line": "up the wall (X line)", "y_line": "across the wall (Y line)", "scan": "scan"}

@@ -21,7 +21,7 @@ from hil.datasets.wheel_log import Recording
 from hil.support.progress import Report, silent
 from hil.twin.features import GROUPS, WINDOW_S, windows
 from hil.twin.repeat import repeated
-from hil.twin.separation import separation
+from hil.twin.two_sample_test import separation
 
 LIMIT, CONTROL = 0.70, 0.60
 """Largest AUC of a group of signals that passes, where the control is not above the second."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.report.overview import Drawn, Overview, Table, write_overview
-from hil.report.pages import number
+from hil.report.page_formats import number
 from hil.report.plot_style import PALETTE, legend, new_figure, style
 from hil.twin.compare import CONTROL, LIMIT, Comparison
 

@@ -11,7 +11,7 @@ from hil.datasets.plain_csv import read_plain
 from hil.datasets.wheel_log import Recording
 from hil.procedure import Context
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedure.parallel_drives import DriveJob
+from hil.procedure.parallel_benches import DriveJob
 from hil.procedure.worker_processes import Workers
 
 

@@ -25,7 +25,7 @@ from hil.core.errors import ConfigError
 from hil.core.geometry import Array
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
-from hil.procedure.parallel_drives import DriveJob
+from hil.procedure.parallel_benches import DriveJob
 from hil.procedure.record_parts import leave_part
 from hil.procedure.tracking_errors import STAGGER_S, enable_hold
 from hil.procedure.worker_processes import Workers

@@ -17,7 +17,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
 from hil.loop.driven_motion import Motion
 from hil.procedure import Context
-from hil.procedure.parallel_drives import DriveJob
+from hil.procedure.parallel_benches import DriveJob
 from hil.procedure.sample_arrays import Series, camera, poses
 from hil.procedure.tracking_errors import STAGGER_S, enable_hold
 from hil.procedure.worker_processes import Workers

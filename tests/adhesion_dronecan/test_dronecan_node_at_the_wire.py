@@ -9,7 +9,7 @@ import can
 import pytest
 
 from hil.core.clock import MonotonicClock
-from hil.fakes.can_server import CanTransport
+from hil.fakes.can_bridge import CanTransport
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.server import EmulationServer
 

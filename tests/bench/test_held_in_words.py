@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.bench.hold.verdict import Held, abandoned, held_in_words, lacking_in_words
+from hil.bench.hold.held_state import Held, abandoned, held_in_words, lacking_in_words
 from hil.core.signals import SERVOS, ServoHold
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.bench.device_set_from_config import model_of
-from hil.bench.third_party.contract_findings import find_contract_breaks
+from hil.bench.third_party.sample_contract import find_contract_breaks
 from hil.config.load_cells import LineCellsConfig
 from hil.config.loading import load_bench
 from hil.core.registry import kinds

@@ -9,8 +9,8 @@ import pytest
 import hil
 from hil.bench.cross_checks.gravity import gravity_checks
 from hil.bench.doctor.examination import examine
+from hil.bench.hold.held_state import held_in_words
 from hil.bench.hold.tilt_check import TiltWatch, tilt_rad
-from hil.bench.hold.verdict import held_in_words
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError, UsageError

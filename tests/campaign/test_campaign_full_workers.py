@@ -12,7 +12,7 @@ from hil.campaign import remote_workers as campaign_cluster
 from hil.campaign.worker_files import WorkerFiles, parcel, unpacked
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.procedure import result_writer as result_files
+from hil.procedure import run_result as result_files
 
 distributed = pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
 

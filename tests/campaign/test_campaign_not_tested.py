@@ -9,7 +9,7 @@ import pytest
 
 from hil.campaign import Case, Row, summarise
 from hil.cli import main
-from hil.procedure import result_writer as result_files
+from hil.procedure import run_result as result_files
 
 SCRIPT = '''
 """Hold for as long as the seed says."""

@@ -27,7 +27,7 @@ from hil.procedure import BenchSource
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Terminal, go_ahead
-from hil.procedure.result_writer import KEEPING, Failure, Result
+from hil.procedure.run_result import KEEPING, Failure, Result
 from hil.procedures.wall_ablation import EVERYTHING, NOTHING
 from hil.report import commission_page
 

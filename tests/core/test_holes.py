@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.bench.contract import at_rest
+from hil.bench.contract import interface_promises
 from hil.bench.contract.device_under_test import Broken
 from hil.core.device import DeviceKind
 from hil.core.geometry import Array
@@ -74,14 +74,14 @@ def test_what_a_device_of_ours_does_not_report_is_no_hole():
 
 
 def test_the_contract_suite_fails_a_hole_in_a_tuple(monkeypatch):
-    monkeypatch.setattr(at_rest, "kinds", lambda: {"thing": KIND})
+    monkeypatch.setattr(interface_promises, "kinds", lambda: {"thing": KIND})
     samples = [Sample(STAMP), Sample(STAMP, pair=(1.0, math.nan))]
     watched = SimpleNamespace(samples=samples)
     subject = SimpleNamespace(kind="thing", watched=watched, not_measured=())
     with pytest.raises(Broken, match="pair is NaN or infinite with status ok"):
-        at_rest.no_data_is_no_number(subject)
+        interface_promises.no_data_is_no_number(subject)
     subject.watched.samples.pop()
-    assert at_rest.no_data_is_no_number(subject) == "1 samples"
+    assert interface_promises.no_data_is_no_number(subject) == "1 samples"
 
 
 def test_a_run_reports_each_field_once_and_only_of_devices_that_packages_bring():

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 import hil
-from hil.bench.contract.at_rest import delivered_once, samples_in_time
 from hil.bench.contract.device_under_test import Broken, Subject
+from hil.bench.contract.interface_promises import delivered_once, samples_in_time
 from hil.bench.doctor.examination import examine
 
 KINDS = ("imu", "tracker")

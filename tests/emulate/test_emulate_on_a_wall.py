@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import pytest
 
 from hil.bench import open_bench, open_emulation
-from hil.bench.hold.held_by_hand import EmulatedSupport
+from hil.bench.hold.emulated_support import EmulatedSupport
 from hil.config.loading import load_bench
 
 pytestmark = pytest.mark.usefixtures("warm_commands")

@@ -12,8 +12,8 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import Status
 from hil.drivers.encoders.as5045.driver import As5045Encoders
+from hil.fakes.can_bridge import CanTransport
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.can_server import CanTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS
 from hil.links.can_interface import open_bus

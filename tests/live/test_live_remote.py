@@ -13,7 +13,7 @@ import hil
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.drivers.servos.dynamixel.commissioning import scan
-from hil.links.network_ports import RemotePort
+from hil.links.serial_over_tcp import RemotePort
 from hil.links.serial_url import open_serial
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import line

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.core.geometry import compose
-from hil.monitor.wall_outlines import (
+from hil.monitor.plane_geometry import (
     Trail,
     body_outline,
     covariance_ellipse,

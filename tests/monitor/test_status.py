@@ -11,7 +11,7 @@ from hil.config.loading import load_bench
 from hil.core.clock import Clock, nanoseconds
 from hil.core.interfaces import Sink
 from hil.core.signals import Event
-from hil.monitor.status_lines import StatusStream
+from hil.monitor.status_stream import StatusStream
 
 
 class At(Clock):

@@ -18,8 +18,8 @@ import unittest.mock
 import can
 
 from hil.core.clock import MonotonicClock
+from hil.fakes.can_bridge import CanTransport
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.can_server import CanTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
 from hil.faults.plan import FaultPlan

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hil.bench.hold.verdict import Held
+from hil.bench.hold.held_state import Held
 from hil.faults.fault import parse_fault
 from hil.faults.plan import FaultPlan
 from hil.pytest_plugin import test_outcome

@@ -12,7 +12,7 @@ from hil.procedure import procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.figure_rows import DrivenRows
 from hil.procedure.measurements import Verdict
-from hil.procedure.parallel_drives import DriveJob, Sent, driven
+from hil.procedure.parallel_benches import DriveJob, Sent, driven
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.tracking_errors import enable_hold
 from hil.recording.runs import read_runs

@@ -7,8 +7,8 @@ from contextlib import suppress
 
 import pytest
 
+from hil.bench.hold.held_state import held_in_words
 from hil.bench.hold.hold_check import HoldMonitor
-from hil.bench.hold.verdict import held_in_words
 from hil.cli import main
 from hil.cli.run import text_of
 from hil.core.clock import MonotonicClock

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from hil.bench.hold.verdict import Held
+from hil.bench.hold.held_state import Held
 from hil.cli import main
 from hil.core.clock import NS_PER_S, MonotonicClock
 from hil.core.errors import Aborted, SafetyStop
@@ -14,7 +14,7 @@ from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.final_hold import HoldRecord
 from hil.procedure.interrupts import Interrupts
-from hil.procedure.parallel_drives import DriveJob
+from hil.procedure.parallel_benches import DriveJob
 from hil.procedure.run_journal import Journal, read_journal
 from hil.procedure.run_sinks import StepTimer
 from hil.procedure.runner import RunOptions, run_procedure

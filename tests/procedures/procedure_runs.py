@@ -16,7 +16,7 @@ from hil.core.clock import MonotonicClock, nanoseconds
 from hil.faults.files import read_faults
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.result_writer import Result
+from hil.procedure.run_result import Result
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run

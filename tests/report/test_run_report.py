@@ -17,7 +17,7 @@ from hil.config.bench import BenchConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError, UsageError
 from hil.procedure import BenchSource, Measurement, procedure
-from hil.procedure.result_writer import judge
+from hil.procedure.run_result import judge
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.compare_page import compare, comparison_text, write_compare_page
 from hil.report.hover_data import taken_out

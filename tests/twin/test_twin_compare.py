@@ -13,7 +13,7 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
 from hil.twin.compare import compare, compared
 from hil.twin.repeat import repeated
-from hil.twin.separation import auc, separation
+from hil.twin.two_sample_test import auc, separation
 
 RATE_RAD_S, MOTION_S, REST_S = 1.5, 9.0, 1.5
 RIPPLE = {"emulation.servos.ripple_counts": [[5.0]] * 4}

@@ -7,8 +7,8 @@ import contextlib
 import numpy as np
 import pytest
 
+from hil.bench.device_proxy import DeviceWithin
 from hil.bench.device_set_from_config import make_device_set
-from hil.bench.device_within import DeviceWithin
 from hil.bench.emulated_devices import build_world, connect_in_process
 from hil.bench.injection import Injection
 from hil.config.loading import load_bench

@@ -5,10 +5,10 @@ as tests. A check takes the object to check, returns a short text with the measu
 `Broken`.
 """
 
-from hil.bench.contract.at_rest import AT_REST
 from hil.bench.contract.delays import BUSY_SHARE, delays_at_rest, delays_in_motion, idle_for, punctuality
 from hil.bench.contract.device_under_test import Broken, Subject, due, judged, oldest_s, read_for
 from hil.bench.contract.in_motion import IN_MOTION, without_restart
+from hil.bench.contract.interface_promises import AT_REST
 
 __all__ = [
     "AT_REST",

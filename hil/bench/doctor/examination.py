@@ -24,7 +24,7 @@ from hil.bench.doctor.port_findings import Host, host_findings
 from hil.bench.doctor.steering_offsets import slipped_between
 from hil.bench.loop_settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
-from hil.bench.third_party.contract_findings import find_contract_breaks
+from hil.bench.third_party.sample_contract import find_contract_breaks
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.load_cells import LoadCellsConfig

@@ -9,9 +9,9 @@ from typing import TypeVar
 from hil.bench.camera_odometry import wheel_feed
 from hil.bench.cross_checks.parameters import Parameters
 from hil.bench.hold.force_schedule import by_need
+from hil.bench.hold.held_state import Held, untouched
 from hil.bench.hold.hold_check import HoldMonitor
 from hil.bench.hold.preload import Preload
-from hil.bench.hold.verdict import Held, untouched
 from hil.bench.injection import Injection
 from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.pipelines import BenchModel

@@ -17,10 +17,10 @@ import numpy as np
 from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.camera_vote import CAMERA, CameraVote
 from hil.bench.hold.frame_jumps import FrameJumps
+from hil.bench.hold.held_state import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.motion_since_stop import FEWEST_FOR_NOISE, JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.slide_watch import SlideWatch
 from hil.bench.hold.tilt_check import TiltWatch
-from hil.bench.hold.verdict import Held, State, lacking_in_words, on_the_floor
 from hil.bench.loop_settings import can_fall
 from hil.bench.pipelines import BenchModel
 from hil.core.clock import Clock, nanoseconds

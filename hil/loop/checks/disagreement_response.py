@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from hil.core.signals import Event
-from hil.core.stop_causes import together
+from hil.core.stop_suspects import together
 from hil.loop.checks.disagreement import Disagreement
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.fall import look_at

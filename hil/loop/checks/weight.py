@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from hil.core.clock import NS_PER_S
 from hil.core.signals import Event, ServoSample, WheelMeasurement
-from hil.core.stop_causes import together
+from hil.core.stop_suspects import together
 from hil.loop.cycle_data import Check, Cycle
 from hil.robot.statics import GRAVITY_M_S2
 

@@ -12,7 +12,7 @@ from typing import Any
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW
 from hil.report.history.series import MISSING, Group, Series
 from hil.report.hover_data import Curve, Readings, Scale, as_json
-from hil.report.pages import environment, number, quantity
+from hil.report.page_formats import environment, number, quantity
 from hil.report.plot_style import MOST_POINTS
 from hil.support.atomic_files import write_text
 

@@ -15,7 +15,7 @@ from typing import Any
 from hil.core.result_names import PASSED
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, Chart, individuals_chart
 from hil.report.history.index import RUN, Kept
-from hil.report.pages import number
+from hil.report.page_formats import number
 
 MISSING = "missing"
 """State of a measurement without a value in the newest runs."""

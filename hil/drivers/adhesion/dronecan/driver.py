@@ -10,7 +10,7 @@ from hil.config.dronecan import DroneCanConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.finding import Finding
-from hil.drivers.adhesion.can_fan import Figures, MotorFan
+from hil.drivers.adhesion.motor_fan import Figures, MotorFan
 from hil.fan_daemon.commander import MakeCommander, finding
 from hil.fan_daemon.spec import Spec
 from hil.links.can_bus import STANDARD_IDS, remedy_of_silence

@@ -9,7 +9,7 @@ import can
 from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.finding import Finding
-from hil.drivers.adhesion.can_fan import Figures, MotorFan
+from hil.drivers.adhesion.motor_fan import Figures, MotorFan
 from hil.drivers.motor_controllers.vesc_identity import BusReplies, discover_controllers
 from hil.drivers.motor_controllers.vesc_settings import Answers
 from hil.fan_daemon.commander import MakeCommander, finding

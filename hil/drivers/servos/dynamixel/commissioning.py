@@ -20,7 +20,7 @@ from hil.drivers.servos.dynamixel.bus import Bus
 from hil.drivers.servos.dynamixel.packets import find_statuses
 from hil.drivers.servos.dynamixel.register_map import from_block
 from hil.drivers.servos.dynamixel.sdk_port import ServoPort
-from hil.links.network_ports import SOCKET
+from hil.links.serial_over_tcp import SOCKET
 
 _DEVICE = "servos"
 _LATENCY_S, _SLACK_S = 0.016, 0.05  # enough for an adapter with default settings on a busy computer

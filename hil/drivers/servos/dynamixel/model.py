@@ -46,7 +46,7 @@ class Dynamixel(SerialModel):
 
 
 def _described(port: str, servos: Sequence[FoundServo]) -> Found:
-    from hil.links.network_ports import SOCKET
+    from hil.links.serial_over_tcp import SOCKET
 
     bauds, models = sorted({s.baud for s in servos}), sorted({s.model for s in servos})
     table: dict[str, Any] = {"port": port, "baud": bauds[0]}

@@ -12,7 +12,7 @@ import numpy as np
 from hil.config.robot import RobotConfig
 from hil.config.servo_models import ServoModel
 from hil.core.geometry import ArrayLike
-from hil.fakes.plant.mujoco.contact import CONTACTS, ContactSetting
+from hil.fakes.plant.mujoco.contact_settings import CONTACTS, ContactSetting
 from hil.fakes.plant.mujoco.model import build_model
 from hil.fakes.plant.mujoco.robot import MujocoRobot
 from hil.fakes.plant.robot import true_parameters

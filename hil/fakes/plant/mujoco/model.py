@@ -14,8 +14,8 @@ from hil.config.robot import RobotConfig
 from hil.core.geometry import Array
 from hil.core.named_records import Records, filled
 from hil.core.signals import WHEELS
-from hil.fakes.plant.mujoco import step_hooks as mk
-from hil.fakes.plant.mujoco.contact import (
+from hil.fakes.plant.mujoco import step_kernels as mk
+from hil.fakes.plant.mujoco.contact_settings import (
     FRICTION_TIME_CONSTANT_S,
     IMPEDANCE,
     TIME_CONSTANT_S,

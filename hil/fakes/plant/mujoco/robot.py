@@ -15,8 +15,8 @@ from hil.core.geometry import Array, ArrayLike
 from hil.core.named_records import Records
 from hil.core.signals import WHEELS
 from hil.fakes.plant.common_body import SteppedBody, checked_pose
-from hil.fakes.plant.mujoco import step_hooks as mk
-from hil.fakes.plant.mujoco.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
+from hil.fakes.plant.mujoco import step_kernels as mk
+from hil.fakes.plant.mujoco.contact_settings import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
 from hil.fakes.plant.mujoco.mjcf import JOINTS, load_mujoco
 from hil.fakes.plant.mujoco.model import Built, as_built
 from hil.fakes.plant.mujoco.named_numbers import ROBOT

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from hil.fakes.tracker.mavlink.odometry import Estimate
-from hil.fakes.tracker.pose_errors import seen_drift_m, seen_scale
+from hil.fakes.tracker.wrong_poses import seen_drift_m, seen_scale
 from hil.faults.fault import IN, Fault, Supported
 from hil.faults.messages import FRAME_FAULTS, Messages, declared
 from hil.faults.plan import DeviceFaults, FaultPlan

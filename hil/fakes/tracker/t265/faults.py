@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from hil.fakes.tracker.pose_errors import seen_drift_m, seen_scale
 from hil.fakes.tracker.t265.librealsense_frames import PoseFrame
 from hil.fakes.tracker.visual_odometry import CameraPose, Quaternion, Vector
+from hil.fakes.tracker.wrong_poses import seen_drift_m, seen_scale
 from hil.faults.fault import Fault, Supported
 from hil.faults.messages import ARRIVAL_FAULTS, Messages
 from hil.faults.plan import DeviceFaults, FaultPlan

@@ -16,7 +16,7 @@ from hil.recording.mcap_writer import McapRecorder, OnFailure
 
 if TYPE_CHECKING:
     from hil.bench import Bench
-    from hil.bench.hold.verdict import Held
+    from hil.bench.hold.held_state import Held
 
 Result = TypeVar("Result")
 

@@ -10,7 +10,7 @@ import numpy as np
 from hil.bench.contract.device_under_test import SHARE, SHORT_S, WATCH_S, Broken, Subject, due, read_for
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.pose_at_rest import sees_no_motion
-from hil.bench.third_party.contract_findings import EARLY_NS, OLDEST_NS
+from hil.bench.third_party.sample_contract import EARLY_NS, OLDEST_NS
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError
 from hil.core.geometry import Array

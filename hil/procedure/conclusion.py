@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.bench.hold.verdict import untouched
+from hil.bench.hold.held_state import untouched
 from hil.bench.injection import nothing_hit, was_missed
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.config.device_place import device_place
@@ -16,8 +16,8 @@ from hil.faults.fault import Fault
 from hil.procedure.context import Context
 from hil.procedure.measurements import Verdict, worst
 from hil.procedure.parameters import as_dict
-from hil.procedure.result_writer import Failure, Result, git_revision, judge
 from hil.procedure.run_benches import RunBenches
+from hil.procedure.run_result import Failure, Result, git_revision, judge
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 

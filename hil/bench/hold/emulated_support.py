@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from hil.bench.hold.verdict import Held, seen_in_words
+from hil.bench.hold.held_state import Held, seen_in_words
 from hil.config.bench import BenchConfig
 from hil.fakes.body_interface import PlantState
 from hil.fakes.plant.common_body import SteppedBody
