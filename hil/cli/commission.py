@@ -106,6 +106,8 @@ def _text(summary: dict[str, Any]) -> str:
         lines.append(f"what to do: {stopped['do']}")
     if summary["stopped"] is None and not summary["wall"]:
         lines.append("no line was driven on a wall: what the record brings is not verified")
+    if open_keys := [row["key"] for row in summary["parameters"] if row["state"] == "unconfirmed"]:
+        lines.append(f"taken for granted of the bench file, confirmed by nothing: {', '.join(open_keys)}")
     page = (
         f"the page {shown_path(Path(summary['page']))}"
         if summary["page"]

@@ -106,6 +106,7 @@ def _print_parameters(rows: Sequence[CrossCheck]) -> None:
     for row in rows:
         about = row.to_json()
         off = f", {about['difference']:+.3g}" if about["difference"] is not None else ""
+        on = f", on {row.on}" if row.on else ""
         says = (
             f"; {shown(about['says'])} would fit"
             if row.state == "contradicted" and about["says"] is not None
@@ -114,7 +115,7 @@ def _print_parameters(rows: Sequence[CrossCheck]) -> None:
         colour = _STATES[row.state]
         click.echo(
             f"{click.style(f'{row.state:12}', fg=colour)} {row.key:{width}} "
-            f"{shown(row.value)} ({row.by}{off}{says})"
+            f"{shown(row.value)} ({row.by}{on}{off}{says})"
         )
 
 

@@ -55,6 +55,7 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
             "by": file.why,
             "robot": file.robot.model_dump(mode="json", exclude_none=True),
             "parts": rows,
+            "confirmed": {key: one.model_dump(mode="json") for key, one in file.confirmed.items()},
             "versions": [_described(v) for v in history.versions],
             "damaged": [{"path": str(path), "why": why} for path, why in history.damaged],
         }
@@ -65,6 +66,8 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
         click.echo(_line(row))
         for figure in row.get("figures", ()):
             click.echo(f"    {figure['name'].replace('_', ' '):36}{figure['words']}")
+    for key, one in file.confirmed.items():
+        click.echo(f"confirmed   {one.measured[:10]}  {key} {one.value} by {one.by} ({one.procedure})")
     for path, why in history.damaged:
         click.echo(f"hil: {path}: {why}", err=True)
     return 0

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hil.bench.cross_checks.parameters import Parameters
 from hil.commission.reruns import as_its_file_says, dependencies_of, parts_in, reason_to_repeat
 from hil.commission.saved_state import DONE, State, state_of
 from hil.commission.stages import PROMPTS, STAGES, Place, Stage, placed, stages
@@ -100,7 +101,7 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
     _check_all(asked, source, config)
     run = _Running(replace(asked, source=source), state, config)
     code, stopped = run.all()
-    reported = summary(state, record, stopped)
+    reported = summary(state, record, stopped) | {"parameters": taken_for_granted(source)}
     try:
         page = write_commission_page(
             asked.folder, reported, source.config.name, asked.now(), asked.source.seed
@@ -134,6 +135,18 @@ def summary(state: State, record: Path, stopped: dict[str, Any] | None) -> dict[
         "stages": [{"name": name, **entry} for name, entry in state.done.items()],
         "folder": str(state.folder),
     }
+
+
+def taken_for_granted(source: BenchSource) -> list[dict[str, Any]]:
+    """Return what the record confirms of the bench file, and what nothing has confirmed, as JSON values.
+
+    Args:
+        source: bench with the record; nothing is returned where it cannot be configured.
+    """
+    try:
+        return [row.to_json() for row in Parameters(source.changed().config).rows()]
+    except ConfigError:
+        return []
 
 
 class _Running:

@@ -6,6 +6,7 @@ record can apply it later (`hil robot apply RECORD --from part_camera.toml`). Th
 """
 
 import hashlib
+import math
 from collections.abc import Mapping
 from datetime import date, timedelta
 from pathlib import Path
@@ -13,8 +14,9 @@ from typing import Any
 
 import tomli_w
 
-from hil.config.robot_record import Figure, NewPart, Part, RobotRecord, Spread
+from hil.config.robot_record import Confirmation, Figure, NewPart, Part, RobotRecord, Spread
 from hil.config.robot_record.overlay import identity, known_parts
+from hil.core.cross_check import CrossCheck
 from hil.core.errors import HilError
 from hil.core.result_names import PASSED
 from hil.procedure.bench_fragment import seal_fragment
@@ -25,6 +27,8 @@ from hil.support.atomic_files import write_text
 __all__ = ["keep_parts", "known_parts", "leave_part"]
 
 _PIECE = 1 << 20
+_PLACE = "environment."
+"""Table that says where the robot stands, which is not kept of the robot."""
 
 
 def leave_part(
@@ -80,6 +84,9 @@ def _until(started: str, days: int | None) -> str:
 def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, HilError | None]:
     """Write the parts of a run to files in its folder and, if the run passed, to the record of its bench.
 
+    The record also keeps which keys of the bench file the run has confirmed; one that it contradicted is no
+    longer confirmed, whatever its verdict.
+
     Returns:
         Entry of `result.json`: folder, version, names of the new parts, and of the parts that were removed
         because they depend on replaced parts; None without a record or new parts. And the error, if the
@@ -93,27 +100,58 @@ def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, H
             _write_part(ctx, name, one, verdict)
     except HilError as error:
         return None, error if ended else None
-    if config.record.folder is None or not learned:
+    if config.record.folder is None:
         return None, None
-    if verdict not in PASSED:
+    passed = verdict in PASSED
+    if learned and not passed:
         ctx.note(f"The record {config.record.folder} was left as it is: the run ended in {verdict.value}.")
-        return None, None
-    recordings = _digests(ctx)
+    try:
+        return _kept(ctx, verdict, learned if passed else {}), None
+    except HilError as error:
+        return None, error
+
+
+def _kept(ctx: Context, verdict: Verdict, learned: Mapping[str, NewPart]) -> dict[str, Any] | None:
+    config, granted = ctx.source.config, ctx.benches.granted.values()
+    contradicted = {row.key: row.value for row in granted if row.state == "contradicted"}
+    record = RobotRecord(Path(str(config.record.folder)))
+    before = record.read().version if record.exists() else 0
+    recordings = _digests(ctx) if learned else {}
     parts = {
         name: NewPart(
             one.part.model_copy(update={"verdict": verdict.value, "recordings": recordings}), one.files
         )
         for name, one in learned.items()
     }
-    record = RobotRecord(Path(config.record.folder))
-    try:
-        gone = record.add(parts, identity(config, ctx.source.seed), created=ctx.started, why=ctx.procedure)
-        version = record.read().version
-    except HilError as error:
-        return None, error
+    confirmed = {
+        row.key: _confirmation(ctx, row)
+        for row in granted
+        if verdict in PASSED and row.state == "confirmed" and not row.on and not row.key.startswith(_PLACE)
+    }
+    if not (parts or contradicted or confirmed):
+        return None
+    gone = record.add(
+        parts,
+        identity(config, ctx.source.seed),
+        created=ctx.started,
+        why=ctx.procedure,
+        confirmed=confirmed,
+        contradicted=contradicted,
+    )
+    version = record.read().version
+    if version == before:
+        return None
     words = f"; without {', '.join(gone)}, measured on top of what changed" if gone else ""
-    ctx.note(f"{record.folder} is now version {version}, with {', '.join(parts)} of this run{words}.")
-    return {"folder": str(record.folder), "version": version, "parts": list(parts), "gone": list(gone)}, None
+    new = ", ".join(parts) or "what was confirmed"
+    ctx.note(f"{record.folder} is now version {version}, with {new} of this run{words}.")
+    return {"folder": str(record.folder), "version": version, "parts": list(parts), "gone": list(gone)}
+
+
+def _confirmation(ctx: Context, row: CrossCheck) -> Confirmation:
+    off = row.difference if math.isfinite(row.difference) else None
+    return Confirmation(
+        value=row.value, by=row.by, procedure=ctx.procedure, measured=ctx.started, difference=off
+    )
 
 
 def _digests(ctx: Context) -> dict[str, str]:

@@ -212,7 +212,7 @@ class RunBenches:
         self._came(bench.world_ns, bench.looked_ns)
         self.lost += bench.lost
         for row in bench.parameters.rows():
-            if row.state != "unconfirmed":
+            if row.state != "unconfirmed" and not row.on:
                 self.granted[row.key] = row
             else:
                 self.granted.setdefault(row.key, row)

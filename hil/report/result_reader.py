@@ -110,6 +110,7 @@ class _Granted(_Part):
     value: Any = None
     state: Literal["confirmed", "contradicted", "unconfirmed"]
     by: str = ""
+    on: str | None = None
     says: Any = None
     difference: _Number = None
 

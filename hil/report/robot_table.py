@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from datetime import date
 from typing import Any
 
-from hil.config.robot_record import PARTS, Figure, Part, RecordFile
+from hil.config.robot_record import PARTS, Confirmation, Figure, Part, RecordFile
 
 _SHOWN = {
     "rad": ("deg", math.degrees(1.0)),
@@ -97,7 +97,15 @@ def differences(old: RecordFile, new: RecordFile) -> list[dict[str, Any]]:
                 rows.append({"part": name, "name": key, "old": a, "new": b, "sigmas": None})
         for key in dict.fromkeys((*before.figures, *after.figures)):
             rows += _change(name, key, before.figures.get(key), after.figures.get(key))
+    for key in dict.fromkeys((*old.confirmed, *new.confirmed)):
+        then, now = _said(old.confirmed.get(key)), _said(new.confirmed.get(key))
+        if then != now:
+            rows.append({"part": "confirmed", "name": key, "old": then, "new": now, "sigmas": None})
     return rows
+
+
+def _said(one: Confirmation | None) -> str:
+    return "by nothing" if one is None else f"{one.value} by {one.by}"
 
 
 def _known(part: Part | None) -> str:

@@ -7,6 +7,7 @@ gyro and camera against the configured signs. Corrected signs are left as a frag
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -14,15 +15,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
+from hil.bench.cross_checks.parameters import advice
 from hil.bench.doctor.steering_offsets import encoder_minus_servo
-from hil.bench.hold.tilt_check import APART_RAD, sees_the_tilt, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.core.cross_check import CrossCheck
 from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.registry import kinds
-from hil.core.signals import KINDS, WHEELS, Status
+from hil.core.signals import KINDS, WHEELS
 from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
@@ -49,6 +50,7 @@ from hil.procedures.bring_up.report import (
     stream_table,
 )
 from hil.procedures.bring_up.streams import Stream, judge_stream
+from hil.procedures.bring_up.turn_axis import place_checks, turn_checks
 from hil.robot.trajectories import Trajectory, line
 
 _DEG = float(np.degrees(1.0))
@@ -57,6 +59,14 @@ _PUSHES = 0.5
 _CLEAR = 0.5
 """Least measured value of a clear direction: below it something else moved, or hardly anything."""
 _MOST_DRIFT_PPM = 90.0
+_SHOWN_BY_STEPS = {
+    ("odometry", False): ("robot.wheel_radius_m",),
+    ("odometry", True): ("robot.wheel_x_m", "robot.wheel_y_m"),
+    ("tracker", False): ("tracker.scale",),
+}
+"""Keys that scale the steps of the body by a sensor: those along the surface, and turns."""
+_SAME = 0.06
+"""Difference of a response from 1 up to which it confirms a key: the share that slip costs."""
 _SHOWN_BY_MOTION = {
     "alignment": ("drive_sign", "steer_sign"),
     "servos": ("drive_ids", "steer_ids"),
@@ -151,18 +161,13 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
                 rationale="device clock against bench clock, positive is fast; drivers follow up to 100",
             )
             yield Measurement(f"{name}.clock_drift_uncertainty", "ppm", rationale="half of the 95 % interval")
-    if _tilt_is_seen(p, config):
-        yield Measurement(
-            "imu.tilt_apart",
-            "deg",
-            high=APART_RAD * _DEG,
-            rationale="tilt by gravity from environment.tilt_rad; beyond it nothing is moved",
-        )
+    yield Measurement(
+        "contradicted",
+        "1",
+        high=0.0,
+        rationale="keys of the bench file that sensors contradict and no procedure finds; nothing is moved",
+    )
     yield from _of_directions(p)
-
-
-def _tilt_is_seen(p: Parameters, config: BenchConfig) -> bool:
-    return "imu" in p.devices and sees_the_tilt(config)
 
 
 def _of_directions(p: Parameters) -> Iterator[Measurement]:
@@ -254,12 +259,11 @@ def run(ctx: Context) -> None:
     with ctx.step("identity"):
         identify(ctx, bench)
     with ctx.step("streams", timeout_s=p.watch_s + 30.0):
-        stands_as_given = watch(ctx, bench)
-    if not stands_as_given:
-        ctx.note(
-            "Nothing was moved: the tilt measured by the IMU differs from environment.tilt_rad. "
-            "Correct that, or the mount of the IMU (imu.mount_rotation_wxyz); `hil doctor` shows both angles."
-        )
+        watch(ctx, bench)
+    wrong = bench.parameters.not_to_be_found()
+    ctx.measure("contradicted", len(wrong))
+    if wrong:
+        ctx.note(f"Nothing was moved: {'; '.join(dict.fromkeys(check.text for check in wrong))}.")
         return
     with ctx.step("steering", timeout_s=60.0):
         steer = jog_steering(bench, p.steer_deg / _DEG)
@@ -283,20 +287,27 @@ def run(ctx: Context) -> None:
         ctx.note("The body was not moved: first correct everything that failed above.")
         return
     with ctx.step("body", timeout_s=120.0):
-        move_body(ctx, bench)
+        off = move_body(ctx, bench)
     leave_part(ctx, "signs", values=_signs(ctx))
     if ctx.passing():
-        bench.parameters.take(_confirmed(ctx))
+        bench.parameters.take(_confirmed(ctx, off))
 
 
-def _confirmed(ctx: Context) -> Iterator[CrossCheck]:
-    """Yield the keys of the bench file that small motions in the right directions confirm."""
-    tables = {**ctx.source.config.devices(), "alignment": ctx.source.config.alignment}
-    for table, keys in _SHOWN_BY_MOTION.items():
-        if table in ("alignment", *ctx.parameters.devices):
-            for key in keys:
-                value = getattr(tables[table], key)
-                yield CrossCheck(f"{table}.{key}", value, "confirmed", "small motions", value)
+def _confirmed(ctx: Context, off: Mapping[str, float]) -> Iterator[CrossCheck]:
+    """Yield the keys of the bench file that small motions confirm, and by how much they were off."""
+    config = ctx.source.config
+    tables = {**config.devices(), "alignment": config.alignment, "robot": config.robot}
+    shown = [
+        (f"{table}.{key}", math.nan)
+        for table, keys in _SHOWN_BY_MOTION.items()
+        if table in ("alignment", *ctx.parameters.devices)
+        for key in keys
+    ]
+    for key, differs in (*shown, *((key, size) for key, size in off.items() if abs(size) <= _SAME)):
+        table, _, name = key.partition(".")
+        value = getattr(tables[table], name)
+        if value is not None:
+            yield CrossCheck(key, value, "confirmed", "small motions", value, differs)
 
 
 def _signs(ctx: Context) -> dict[str, Any]:
@@ -331,8 +342,8 @@ def identify(ctx: Context, bench: Bench) -> None:
     )
 
 
-def watch(ctx: Context, bench: Bench) -> bool:
-    """Rest and measure the streams of all devices; return whether the tilt agrees with the bench file."""
+def watch(ctx: Context, bench: Bench) -> None:
+    """Rest and measure the streams of all devices."""
     p: Parameters = ctx.parameters
     enable_hold(bench)
     motion = bench.observe(p.watch_s, feedback="odometry")
@@ -347,7 +358,6 @@ def watch(ctx: Context, bench: Bench) -> bool:
     draw_streams(ctx, streams)
     draw_clocks(ctx, streams)
     _keep_steering(ctx, motion)
-    return _measure_tilt(ctx, motion)
 
 
 def _keep_steering(ctx: Context, motion: Motion) -> None:
@@ -357,18 +367,6 @@ def _keep_steering(ctx: Context, motion: Motion) -> None:
     offsets_rad = encoder_minus_servo(ctx.source.config, encoders, servos)
     if np.isfinite(offsets_rad).all():
         leave_part(ctx, "steering", values={"encoders.minus_servo_rad": list(offsets_rad)})
-
-
-def _measure_tilt(ctx: Context, motion: Motion) -> bool:
-    """Compare the tilt measured by the IMU with `environment.tilt_rad`; return False if they differ."""
-    p: Parameters = ctx.parameters
-    config = ctx.source.config
-    if not _tilt_is_seen(p, config):
-        return True
-    good = [s for r in motion.records for s in r.inputs.imu if s.status is Status.OK]
-    apart_rad = abs(tilt_rad(config, good) - config.environment.tilt_rad)
-    ctx.measure("imu.tilt_apart", apart_rad * _DEG)
-    return not apart_rad > APART_RAD
 
 
 def _measure_punctuality(ctx: Context, motion: Motion) -> None:
@@ -441,10 +439,15 @@ def _turned(configured: tuple[int, ...], found: Array) -> list[int]:
     return [c * (int(f) or 1) for c, f in zip(configured, found, strict=True)]
 
 
-def move_body(ctx: Context, bench: Bench) -> None:
-    """Move the body a little along each axis and compare the sensors."""
+def move_body(ctx: Context, bench: Bench) -> dict[str, float]:
+    """Move the body a little along each axis and compare the sensors.
+
+    Returns:
+        Keys of the bench file that scale the steps by a sensor, and their largest difference from those of
+        the body, relative.
+    """
     p: Parameters = ctx.parameters
-    rows = []
+    rows, off = [], dict[str, float]()
     for axis, name in enumerate(("x", "y", "heading")):
         pose = enable_hold(bench)
         motion = bench.drive(steps(p, pose)[axis], feedback="odometry", hold_s=0.5, start_pose=pose)
@@ -456,15 +459,33 @@ def move_body(ctx: Context, bench: Bench) -> None:
         for sensor, went in seen.items():
             ctx.measure(f"{sensor}.{name}_response", went / true)
             note_explanation(ctx, "servos" if sensor == "odometry" else sensor, went / true, axis)
+            for key in _SHOWN_BY_STEPS.get((sensor, axis == 2), ()):
+                off[key] = max(off.get(key, 0.0), went / true - 1.0, key=abs)
             row.append(f"{went * (_DEG if axis == 2 else 1e3):+.2f}")
         if axis == 2 and "imu" in p.devices:
             data = inertial(motion)
             response = float(integrated(data.t_s, data[0])[-1]) / true
             ctx.measure("imu.gyro_response", response)
             note_explanation(ctx, "imu", response, axis)
+        if axis == 2:
+            _compare_axes(ctx, bench, motion, true)
         rows.append(row)
     head = ["step", p.body, *seen]
     ctx.table("Small steps of the body", head, rows, "mm, and deg for the turn.")
+    return off
+
+
+def _compare_axes(ctx: Context, bench: Bench, motion: Motion, turned_rad: float) -> None:
+    """Compare the axis of a turn by IMU and camera with the normal of the surface."""
+    found = list(turn_checks(bench.config, motion, turned_rad))
+    if bench.has("tracker") and ctx.parameters.body == "mocap":
+        seen_m, true_m = (
+            complex(_went(motion, name, 0), _went(motion, name, 1)) for name in ("tracker", "mocap")
+        )
+        found += place_checks(bench.config, abs(seen_m - true_m) / abs(turned_rad))
+    known = [c for c in found if c.state != "confirmed" or not c.beside or bench.parameters.partly(c.key)]
+    for check in bench.parameters.take(check._replace(beside="") for check in known):
+        ctx.note(f"{check.text}; {advice(check)}.")
 
 
 def _went(motion: Motion, source: str, axis: int) -> float:

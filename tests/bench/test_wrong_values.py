@@ -177,7 +177,7 @@ def test_every_parameter_has_a_row_of_plain_values():
     rows, _ = examined({})
     for row in rows.values():
         entry = json.loads(json.dumps(row.to_json(), allow_nan=False))
-        assert set(entry) == {"key", "value", "state", "by", "says", "difference"}
+        assert set(entry) == {"key", "value", "state", "by", "on", "says", "difference"}
         assert row.by, row.key
     assert rows["adhesion.pole_pairs"].state == "confirmed"
     assert math.isfinite(rows["adhesion.pole_pairs"].difference)

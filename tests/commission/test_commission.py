@@ -58,6 +58,11 @@ def test_what_one_procedure_finds_the_next_one_uses(tmp_path):
     assert list(reported["wall"]) == [NOTHING, EVERYTHING]
     assert set(reported["wall"][NOTHING]["x_line"]) >= {"end_m", "rmse_x_m", "rmse_y_m", "rmse_heading_rad"}
     assert reported["wall"][NOTHING] != reported["wall"][EVERYTHING]
+    states = {row["key"]: (row["state"], row["by"], row["on"]) for row in reported["parameters"]}
+    assert states["tracker.scale"] == ("confirmed", "tracker_extrinsics", "2026-11-22")
+    assert states["robot.mass_kg"] == ("confirmed", "the work of the drives", "2026-11-22")
+    assert states["thrust.full_force_n"][0] == "confirmed"
+    assert "robot.mass_kg" in Path(reported["page"]).read_text()
 
 
 def test_what_has_passed_is_not_repeated(tmp_path, passing):

@@ -138,3 +138,25 @@ def test_backlash_that_is_known_is_what_standard_errors_allow_for(tmp_path):
     record.add({"backlash": NewPart(part)}, identity(load_bench("emulated")), created="2026-02-01", why="t")
     asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
     assert known_play_rad(asked) == 0.0025
+
+
+@procedure(name="looks", needs=("servos",))
+def looks(ctx):
+    """Lets the robot rest, and passes unless the supply has 11.5 V."""
+    ctx.bench.settle()
+    if ctx.source.config.robot.supply_v == 11.5:
+        raise RuntimeError
+
+
+def test_a_run_that_passes_keeps_what_it_confirmed(tmp_path):
+    folder = tmp_path / "robot"
+    failed, _ = ran(tmp_path / "fails", folder, looks, **{"robot.supply_v": 11.5})
+    assert (failed.facts["record"], folder.exists()) == (None, False)
+    result, _ = ran(tmp_path / "first", folder, looks)
+    assert result.facts["record"] == {"folder": str(folder), "version": 1, "parts": [], "gone": []}
+    kept = RobotRecord(folder).read().confirmed
+    assert (kept["adhesion.pole_pairs"].value, kept["adhesion.pole_pairs"].procedure) == (3, "looks")
+    assert "environment.tilt_rad" not in kept, "where a robot stands is not the robot"
+    assert "imu.mount_rotation_wxyz" not in kept, "gravity shows no turn about the vertical"
+    again, _ = ran(tmp_path / "second", folder, looks)
+    assert (again.facts["record"], RobotRecord(folder).read().version) == (None, 1)

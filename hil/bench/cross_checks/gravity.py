@@ -31,6 +31,7 @@ _CALM_M_S2 = 2.0
 _STEEP = 0.3
 """Share of gravity in the plane from which it gives a heading."""
 _Q = "mount_rotation_wxyz"
+_ABOUT_VERTICAL = "a turn about the vertical"
 
 
 class Witness(NamedTuple):
@@ -198,7 +199,8 @@ def judged(witnesses: Sequence[Witness], beside: str) -> Iterator[CrossCheck]:
         near = [w for w in others if abs(wrap(w.angle_rad - one.angle_rad)) <= MOST_RAD]
         if near:
             off_rad = wrap(one.angle_rad - near[0].angle_rad)
-            yield CrossCheck(one.key, one.value, "confirmed", near[0].called, one.value, off_rad)
+            turn = _ABOUT_VERTICAL if one.key.endswith(_Q) else ""
+            yield CrossCheck(one.key, one.value, "confirmed", near[0].called, one.value, off_rad, beside=turn)
             continue
         agree = len(others) > 1 and all(
             abs(wrap(a.angle_rad - b.angle_rad)) <= MOST_RAD for a in others for b in others

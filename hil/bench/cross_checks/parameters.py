@@ -9,6 +9,9 @@ from hil.bench.cross_checks.gravity import gravity_checks
 from hil.bench.cross_checks.steering import steering_checks
 from hil.config.bench import BenchConfig
 from hil.config.parameter import Parameter, parameters_of
+from hil.config.robot_record import Confirmation
+from hil.config.robot_record.overlay import kept_confirmations
+from hil.config.robot_record.parts import part_of
 from hil.core.cross_check import CrossCheck, strongest
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
@@ -79,14 +82,35 @@ class Parameters:
         """Contradictions at rest, by key."""
         return {check.key: check for check in self._found if check.state == "contradicted"}
 
+    def partly(self, key: str) -> bool:
+        """Whether a parameter is confirmed, but for what its measurement does not show."""
+        return any(check.key == key and check.state == "confirmed" and check.beside for check in self._found)
+
+    def not_to_be_found(self) -> list[CrossCheck]:
+        """Contradictions at rest that no procedure can resolve: whatever they find would be wrong.
+
+        Where one of two keys is wrong, and a procedure finds one of them, that procedure resolves it.
+        """
+        found = self.contradicted()
+        finds = [key for key in found if part_of(key)]
+        return [
+            check
+            for key, check in found.items()
+            if key.startswith("environment.") or not any(other in check.text for other in finds)
+        ]
+
     def rows(self) -> list[CrossCheck]:
         """One result for each parameter of the bench file, and for what else was contradicted."""
         found = strongest([*self._found, *self._moved.values()])
+        kept = kept_confirmations(self._config)
         tables = {name: getattr(self._config, name) for name in OF_NO_DEVICE} | self._config.devices()
-        rows = [
-            found.pop(key, CrossCheck(key, value, "unconfirmed", self._awaited(one)))
-            for key, value, one in parameters_of(tables)
-        ]
+        rows = []
+        for key, value, one in parameters_of(tables):
+            check = found.pop(key, CrossCheck(key, value, "unconfirmed", self._awaited(one)))
+            if check.state == "confirmed" and check.beside:
+                by = f"{check.by}; {check.beside}: {self._awaited(one)}"
+                check = check._replace(state="unconfirmed", by=by)
+            rows.append(_of_the_record(check, kept))
         return rows + [check for check in found.values() if check.state == "contradicted"]
 
     def _awaited(self, parameter: Parameter) -> str:
@@ -110,6 +134,15 @@ class Parameters:
                 expected="measurements that agree with the bench file",
                 remedy="; ".join(dict.fromkeys(map(advice, self.contradicted().values()))),
             )
+
+
+def _of_the_record(check: CrossCheck, kept: Mapping[str, Confirmation]) -> CrossCheck:
+    """What the robot's record says of an unconfirmed parameter whose value is still the same."""
+    one = kept.get(check.key)
+    if check.state != "unconfirmed" or one is None or not one.holds_for(check.value):
+        return check
+    off = math.nan if one.difference is None else one.difference
+    return CrossCheck(check.key, check.value, "confirmed", one.by, check.value, off, on=one.measured[:10])
 
 
 def _times(value: Any, factor: float) -> Any:

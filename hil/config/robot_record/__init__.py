@@ -5,10 +5,11 @@ A folder with the version in place (`record.toml`), every version (`history/`), 
 """
 
 from hil.config.robot_record.folder import History, KeptVersion, NewPart, RobotRecord
-from hil.config.robot_record.parts import PARTS, Figure, Identity, Part, RecordFile, Spread
+from hil.config.robot_record.parts import PARTS, Confirmation, Figure, Identity, Part, RecordFile, Spread
 
 __all__ = [
     "PARTS",
+    "Confirmation",
     "Figure",
     "History",
     "Identity",

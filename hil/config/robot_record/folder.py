@@ -21,7 +21,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from hil.config.robot_record.parts import PARTS, Identity, Part, RecordFile, digest_of
+from hil.config.robot_record.parts import PARTS, Confirmation, Identity, Part, RecordFile, digest_of
 from hil.core.errors import ConfigError, reason_of
 from hil.support.atomic_files import put_whole
 from hil.support.file_reading import MOST_TOML_BYTES, read_bytes, read_toml
@@ -147,17 +147,27 @@ class RobotRecord:
         raise ConfigError(f"{self.folder}: no version {version}", expected=f"one of {numbers}")
 
     def add(
-        self, parts: Mapping[str, NewPart], robot: Identity, *, created: str, why: str
+        self,
+        parts: Mapping[str, NewPart],
+        robot: Identity,
+        *,
+        created: str,
+        why: str,
+        confirmed: Mapping[str, Confirmation] | None = None,
+        contradicted: Mapping[str, Any] | None = None,
     ) -> tuple[str, ...]:
-        """Put a new version in place: the parts, beside those there are.
+        """Put a new version in place: the parts and confirmations, beside those there are.
 
-        An older part that was measured on top of a part which changes now is left out.
+        An older part that was measured on top of a part which changes now is left out. Without parts, and if
+        nothing else was confirmed or contradicted than the record says, the version in place stays.
 
         Args:
             parts: parts to put in, by name.
             robot: robot that the parts are of.
             created: date and time, ISO 8601.
             why: origin of the parts, in words.
+            confirmed: keys of the bench file that measurements have confirmed.
+            contradicted: values that measurements have contradicted, by key: no longer confirmed.
 
         Returns:
             Names of the parts that were left out.
@@ -166,15 +176,29 @@ class RobotRecord:
             ConfigError: the record is of another robot, or cannot be used.
         """
         with _alone(self.folder):
-            return self._added(parts, robot, created, why)
+            before = self.read() if self.exists() else None
+            if before is not None:
+                check_robot(before, robot, self.path)
+                robot = robot.model_copy(update={"body": robot.body or before.robot.body})
+            kept = {} if before is None else before.confirmed
+            wrong = contradicted or {}
+            known = {
+                key: one
+                for key, one in {**kept, **(confirmed or {})}.items()
+                if key not in wrong or not one.holds_for(wrong[key])
+            }
+            if not parts and known.keys() == kept.keys() and all(known[k].alike(kept[k]) for k in kept):
+                return ()
+            return self._added(parts, before, robot, (created, why), known)
 
     def _added(
-        self, parts: Mapping[str, NewPart], robot: Identity, created: str, why: str
+        self,
+        parts: Mapping[str, NewPart],
+        before: RecordFile | None,
+        robot: Identity,
+        origin: tuple[str, str],
+        confirmed: Mapping[str, Confirmation],
     ) -> tuple[str, ...]:
-        before = self.read() if self.exists() else None
-        if before is not None:
-            check_robot(before, robot, self.path)
-            robot = robot.model_copy(update={"body": robot.body or before.robot.body})
         merged = {} if before is None else dict(before.parts)
         new = {name: self._take_files(one) for name, one in parts.items()}
         for name in PARTS:
@@ -184,10 +208,11 @@ class RobotRecord:
         file = RecordFile(
             schema_version=1,
             version=self._next(),
-            created=created,
-            why=why,
+            created=origin[0],
+            why=origin[1],
             robot=robot,
             parts=merged,
+            confirmed=dict(confirmed),
             previous="" if before is None else before.sha256,
         )
         whole, gone = file.without_stale()

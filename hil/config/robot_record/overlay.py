@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.config.robot_record.folder import RobotRecord, check_robot
-from hil.config.robot_record.parts import PARTS, Identity, Part, RecordFile
+from hil.config.robot_record.parts import PARTS, Confirmation, Identity, Part, RecordFile
 from hil.core.errors import ConfigError, did_you_mean
 from hil.core.registry import kinds
+from hil.core.result_names import PASSED
 from hil.support.file_reading import get_dotted, put_dotted
 
 _TRUE_MOUNTS = ("mount_position_m", "mount_rotation_wxyz")
@@ -117,10 +118,32 @@ def _default(kind: str, table: Mapping[str, Any], key: str) -> object:
 
 def known_parts(config: Any) -> dict[str, Part]:
     """Parts of the record that a bench runs with, by name; none without a record."""
-    settings = config.record
-    if settings.folder is None or not (record := RobotRecord(Path(settings.folder))).exists():
+    file, without = _record_of(config), config.record.without
+    return {} if file is None else {name: part for name, part in file.parts.items() if name not in without}
+
+
+def _record_of(config: Any) -> RecordFile | None:
+    folder = config.record.folder
+    if folder is None or not (record := RobotRecord(Path(folder))).exists():
+        return None
+    return record.read()
+
+
+def kept_confirmations(config: Any) -> dict[str, Confirmation]:
+    """Keys that measurements confirmed, as the record of a bench keeps them; none without a record.
+
+    A value that a procedure has found is confirmed by that procedure.
+    """
+    file = _record_of(config)
+    if file is None:
         return {}
-    return {name: part for name, part in record.read().parts.items() if name not in settings.without}
+    found = {
+        key: Confirmation(value=value, by=part.procedure, procedure=part.procedure, measured=part.measured)
+        for name, part in file.parts.items()
+        for key, value in part.values.items()
+        if name not in config.record.without and part.verdict in PASSED
+    }
+    return {**found, **{key: one for key, one in file.confirmed.items() if key not in found}}
 
 
 def identity(config: Any, seed: int | None = None) -> Identity:

@@ -203,6 +203,43 @@ class Part(_Model):
         return bool(self.until) and today > date.fromisoformat(self.until)
 
 
+class Confirmation(_Model):
+    """A key of the bench file that a measurement has confirmed.
+
+    Attributes:
+        value: value that was confirmed; any other is not.
+        by: the measurement.
+        procedure, measured: procedure in which it was measured; date and time, ISO 8601.
+        difference: difference of the measurements, relative, in rad or m; None where it gives none.
+    """
+
+    value: Any
+    by: str
+    procedure: str
+    measured: str
+    difference: float | None = None
+
+    @field_validator("value")
+    @classmethod
+    def _plain(cls, value: Any) -> Any:
+        if problems := list(not_plain(value)):
+            raise ValueError("; ".join(problems))
+        return value
+
+    def holds_for(self, value: Any) -> bool:
+        """Whether a bench file still has the value that was confirmed."""
+        return bool(_listed(self.value) == _listed(value))
+
+    def alike(self, other: Confirmation) -> bool:
+        """Whether another one says the same, at another time: only what is new makes a version."""
+        return self.holds_for(other.value) and self.by == other.by
+
+
+def _listed(value: Any) -> Any:
+    """A value with lists in the place of tuples, as a file has them."""
+    return [_listed(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+
 class Identity(_Model):
     """The identity of a robot: name, servos and wheels on paper, as the bench file has them.
 
@@ -255,6 +292,7 @@ class RecordFile(_Model):
         why: origin of this version, in words.
         robot: robot that the record is of.
         parts: parts by name, see `PARTS`.
+        confirmed: keys of the bench file that measurements have confirmed.
         previous: digest of the version before it, empty for the first.
         sha256: digest of everything else here.
     """
@@ -265,6 +303,7 @@ class RecordFile(_Model):
     why: str
     robot: Identity
     parts: dict[str, Part] = {}
+    confirmed: dict[str, Confirmation] = {}
     previous: str = ""
     sha256: str = ""
 

@@ -1,8 +1,8 @@
 """Runs doctor, bring_up and a short climb with one wrong value; collects what was said and what was true."""
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from hil.bench import Bench, open_bench
+from hil.bench.device_set_from_config import model_of
 from hil.bench.doctor.degraded_bench import open_degraded
 from hil.bench.doctor.examination import examine
+from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock, nanoseconds
 from hil.core.errors import HilError
@@ -30,6 +32,9 @@ _AFTER_S = 1.0
 _STARTED = "2000-01-01T00:00:00+00:00"
 _WATCH_S, _DOCTOR_S = 2.0, 1.0
 """How long bring_up and the doctor watch the resting robot."""
+_NOISES = ("noise", "walk")
+"""Parts of the names of an emulated sensor's noises."""
+_NO_NOISE = "moving_noise_s"
 
 
 @dataclass
@@ -73,6 +78,7 @@ class Observed:
         doctor, bring_up, climb: what each stage said.
         held: state in which the bench left the robot.
         parameters: `parameters` of the doctor, by key.
+        contradicted: keys that any stage has found contradicted, and by what.
         truth: true state of the robot at the end.
     """
 
@@ -81,12 +87,17 @@ class Observed:
     climb: Told = field(default_factory=Told)
     held: Mapping[str, Any] = field(default_factory=dict)
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    contradicted: dict[str, str] = field(default_factory=dict)
     truth: Truth = field(default_factory=Truth)
 
     def texts(self) -> Iterator[str]:
         """All that was said."""
         for stage in (self.doctor, self.bring_up, self.climb):
             yield from stage.texts
+
+    def take(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Keep what the parameters of a stage are contradicted by."""
+        self.contradicted |= {row["key"]: row["by"] for row in rows if row["state"] == "contradicted"}
 
 
 def observe(case: WrongValue) -> Observed:
@@ -95,9 +106,37 @@ def observe(case: WrongValue) -> Observed:
 
 
 @lru_cache(maxsize=16)
-def without_mistake(bench: str, plant: str, seed: int) -> Observed:
-    """Run the same bench without a wrong value."""
-    return _observed(right(bench, plant), seed)
+def without_mistake(bench: str, plant: str, seed: int, noise: float = 1.0) -> Observed:
+    """Run a bench without a wrong value.
+
+    Args:
+        bench: key of `BENCHES`.
+        plant: physics model.
+        seed: seed of the emulated world.
+        noise: factor of the noise of all sensors.
+    """
+    overrides = right(bench, plant)
+    if noise != 1.0:
+        overrides |= noisier(load_bench("emulated", overrides=overrides), noise)
+    return _observed(overrides, seed)
+
+
+def noisier(config: BenchConfig, factor: float) -> dict[str, Any]:
+    """Overrides with which the emulated sensors are noisier; the bench file is not told.
+
+    Args:
+        config: the bench.
+        factor: factor of each noise and random walk.
+    """
+    found = {}
+    for name in config.emulated():
+        options = model_of(config, name).truth_options()
+        for one in fields(options) if is_dataclass(options) else ():
+            value = config.imperfections(name).get(one.name, one.default)
+            noisy = any(part in one.name for part in _NOISES) and one.name != _NO_NOISE
+            if noisy and isinstance(value, float):
+                found[f"emulation.{name}.{one.name}"] = factor * value
+    return found
 
 
 def _observed(overrides: Mapping[str, Any], seed: int, key: str = "") -> Observed:
@@ -129,6 +168,7 @@ def _examine(seen: Observed, told: Told, overrides: Mapping[str, Any], seed: int
             )
             told.refused |= finding.level == "failure"
     seen.parameters = {row.key: row.to_json() for row in bench.parameters.rows()}
+    seen.take(seen.parameters.values())
 
 
 def _bring_up(seen: Observed, told: Told, overrides: Mapping[str, Any], seed: int) -> None:
@@ -138,6 +178,7 @@ def _bring_up(seen: Observed, told: Told, overrides: Mapping[str, Any], seed: in
             Path(folder) / "run", MonotonicClock(), _STARTED, {"watch_s": _WATCH_S}, keep="results"
         )
         result = run_procedure(load_procedure("bring_up"), source, options)
+    seen.take(result.facts["taken_for_granted"])
     told.refused = result.verdict.value not in ("PASS", "MARGINAL")
     told.texts += [str(note) for note in result.facts.get("notes", ())]
     told.texts += [failure.message for failure in (result.error, *result.teardown_errors) if failure]
@@ -153,6 +194,7 @@ def _climb(seen: Observed, told: Told, overrides: Mapping[str, Any], seed: int) 
             _drive(bench, seen.truth)
     finally:
         told.texts += [row["what"] for row in bench.seen.rows()] + bench.warnings
+        seen.take(row.to_json() for row in bench.parameters.rows())
         seen.held = bench.held.to_json()
         if bench.held.lost:
             told.texts.append(bench.held.why)
