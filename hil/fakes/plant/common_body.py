@@ -12,10 +12,17 @@ import numpy as np
 
 from hil.core.errors import UsageError
 from hil.core.geometry import Array, ArrayLike
-from hil.core.named_records import Records
+from hil.core.named_records import FLOAT_BYTES, Records, floats, part_of, place
 from hil.core.signals import SERVOS
 from hil.fakes.body_interface import BodyMotion, HoldingForces, JointCommand, Plant, PlantState
-from hil.fakes.plant.named_numbers import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_PWM, MODE_VELOCITY
+from hil.fakes.plant.named_numbers import (
+    MODE_CURRENT,
+    MODE_OFF,
+    MODE_POSITION,
+    MODE_PWM,
+    MODE_VELOCITY,
+    ROBOT,
+)
 from hil.fakes.plant.parameters import TrueParameters
 from hil.faults.plan import FaultPlan
 
@@ -26,6 +33,20 @@ _MODES = {
     "pwm": MODE_PWM,
     "current": MODE_CURRENT,
 }
+
+
+def _part(path: str) -> slice:
+    """Slice of a field in the numbers of a robot's state."""
+    dtype, begin = ROBOT["state"], place(ROBOT["state"], path)
+    for name in path.split("."):
+        dtype = dtype[name]
+    return slice(begin, begin + dtype.itemsize // FLOAT_BYTES)
+
+
+POSE, TWIST, ACCELERATION = (_part(f"origin.{name}") for name in ("pose", "twist", "acceleration"))
+ANGLE, RATE, AMPS, HEADING, LOAD, SLIP = map(_part, ("angle", "rate", "amps", "heading", "load", "slip"))
+_FALLEN = place(ROBOT["state"], "fallen")
+"""Places of what can be seen in the numbers of a robot's state."""
 
 
 class SteppedBody(Plant):
@@ -66,6 +87,7 @@ class SteppedBody(Plant):
         self._settings: list[tuple[str, float, float, float] | None] = [None] * len(SERVOS)
         self._truth: PlantState | None = None
         self._motion = robots["state"]["origin"].view(np.float64)
+        self._numbers = floats(robots)[0, part_of(robots.dtype, "state")]
         self._headings = _view(self._state.heading)
         self._views = _view(self._state.angle), _view(self._state.rate), _view(self._state.amps)
 
@@ -184,30 +206,28 @@ class SteppedBody(Plant):
         return self._truth
 
     def _look(self) -> PlantState:
-        states = self._seen()
-        states.setflags(write=False)
-        s = states[0]
+        state = self._seen()
+        state.setflags(write=False)
         return PlantState(
             self.t_ns,
-            s.origin.pose,
-            s.origin.twist,
-            s.origin.acceleration,
-            s.angle,
-            s.rate,
-            s.amps,
-            s.heading,
-            s.load,
-            s.slip.reshape(4, 2),
+            state[POSE],
+            state[TWIST],
+            state[ACCELERATION],
+            state[ANGLE],
+            state[RATE],
+            state[AMPS],
+            state[HEADING],
+            state[LOAD],
+            state[SLIP].reshape(4, 2),
             self.tilt_rad,
-            float(s.fallen) != 0.0,
+            state.item(_FALLEN) != 0.0,
             self.adhesion_n(),
             float(self._constants.thrust),
         )
 
-    def _seen(self) -> Records:
-        """Copy (1,) of the state, with all observable values filled in."""
-        states: Records = self._robots["state"].copy()
-        return states
+    def _seen(self) -> Array:
+        """Copy of the state's numbers, with all observable values filled in."""
+        return self._numbers.copy()
 
 
 def checked_pose(pose: ArrayLike) -> Array:

@@ -12,9 +12,8 @@ import numpy as np
 from hil.core.clock import NS_PER_S
 from hil.core.errors import ConfigError, DeviceError
 from hil.core.geometry import Array, ArrayLike
-from hil.core.named_records import Records
 from hil.core.signals import WHEELS
-from hil.fakes.plant.common_body import SteppedBody, checked_pose
+from hil.fakes.plant.common_body import HEADING, LOAD, SteppedBody, checked_pose
 from hil.fakes.plant.mujoco import step_kernels as mk
 from hil.fakes.plant.mujoco.contact_settings import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
 from hil.fakes.plant.mujoco.mjcf import JOINTS, load_mujoco
@@ -222,9 +221,8 @@ class MujocoRobot(SteppedBody):
         """True heading of each fork in the body frame, wheel order."""
         return self._built.data.qpos[self._built.places[0].steer_q].tolist()  # type: ignore[no-any-return]
 
-    def _seen(self) -> Records:
-        states = super()._seen()
-        s = states[0]
-        s.heading[:] = self.steering_rad()
-        s.load[:] = 0.0 if s.fallen else self._loads_n()
-        return states
+    def _seen(self) -> Array:
+        state = super()._seen()
+        state[HEADING] = self.steering_rad()
+        state[LOAD] = 0.0 if self._state.fallen else self._loads_n()
+        return state
