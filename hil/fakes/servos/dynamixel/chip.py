@@ -31,6 +31,28 @@ _BAUD_TOLERANCE = 0.03
 _FAST = (protocol.FAST_SYNC_READ, protocol.FAST_BULK_READ)
 
 
+class _Listening:
+    """The servos that listen, in their order, until one of them changes.
+
+    Attributes:
+        servos: servos that listen.
+        able, able_by_id: those of them that take part in fast reads.
+    """
+
+    def __init__(self, servos: list[Servo]) -> None:
+        self.servos = servos
+        self.able = [servo for servo in servos if servo.reads_fast]
+        self.able_by_id = {servo.id: servo for servo in self.able}
+        ids = {one for servo in servos for one in (servo.id, servo.secondary)}
+        self._by_id = {one: self.addressed(one, changed=True) for one in ids}
+
+    def addressed(self, servo_id: int, *, changed: bool) -> list[Servo]:
+        """Servos to which a group write to an ID goes; `changed`: IDs may have changed meanwhile."""
+        if changed:
+            return [servo for servo in self.servos if servo_id in (servo.id, servo.secondary)]
+        return self._by_id.get(servo_id, [])
+
+
 class ServoBus(SerialChip, Scheduled):
     """Serial bus with eight servos, ordered as in `hil.core.signals.SERVOS`.
 
@@ -72,9 +94,11 @@ class ServoBus(SerialChip, Scheduled):
         self.servos = tuple(Servo(j, world.plant, options, model) for j, model in enumerate(models))
         self._axes = [servo.axis for servo in self.servos]
         encoder = self._sensing.counts()
+        self._bus: _Listening | None = None
         for servo in self.servos:
             servo.boot(0, encoder[servo.joint])
             servo.busy_until_ns = 0
+            servo.on_change = self._forget
         self._parser = InstructionParser()
         self._baud = 0
         self._processing_ns = round(options.processing_s * 1e9)
@@ -118,28 +142,41 @@ class ServoBus(SerialChip, Scheduled):
         if baud != self._baud:
             self._parser.reset()
             self._baud = baud
+            self._forget()
         first_ns = t_ns - (len(data) - 1) * 10_000_000_000 // baud if data else t_ns
         instructions = self._parser.feed(data, first_ns, t_ns)
         return [
-            reply._replace(goes_on=number > 0)
+            reply._replace(goes_on=True) if number else reply
             for instruction in instructions
             for number, reply in enumerate(self._execute(instruction, t_ns))
         ]
 
-    def _listeners(self, t_ns: int) -> list[Servo]:
+    def _forget(self) -> None:
+        """Servos may listen or answer otherwise from now on."""
+        self._bus = None
+
+    def _listening(self, t_ns: int) -> _Listening:
         """Servos that receive data now: connected, powered, booted and at the client's baud rate."""
+        if self._bus is not None:
+            return self._bus
         baud, absent = self._baud, self.options.absent
-        return [
-            s
-            for s in self.servos
-            if not s.dead
-            and t_ns >= s.busy_until_ns
-            and abs(baud - s.baud) <= _BAUD_TOLERANCE * s.baud
-            and s.id not in absent
-        ]
+        found = _Listening(
+            [
+                s
+                for s in self.servos
+                if not s.dead
+                and t_ns >= s.busy_until_ns
+                and abs(baud - s.baud) <= _BAUD_TOLERANCE * s.baud
+                and s.id not in absent
+            ]
+        )
+        if all(t_ns >= s.busy_until_ns for s in self.servos):
+            self._bus = found
+        return found
 
     def _execute(self, instruction: Instruction, t_ns: int) -> list[Reply]:
-        listeners = self._listeners(t_ns)
+        listening = self._listening(t_ns)
+        listeners = listening.servos
         if not instruction.sound:
             return [
                 r
@@ -153,9 +190,9 @@ class ServoBus(SerialChip, Scheduled):
             wanted = GROUP_READS[instruction.code](instruction)
             if instruction.code not in _FAST:
                 return self._read_in_turn(wanted, listeners, t_ns)
-            return self._fast_read(wanted, listeners, t_ns)
+            return self._fast_read(wanted, listening, t_ns)
         if instruction.code in (protocol.SYNC_WRITE, protocol.BULK_WRITE):
-            self._write_group(instruction, listeners, t_ns)
+            self._write_group(instruction, listening, t_ns)
             return []
         if instruction.code == protocol.PING and instruction.servo_id == protocol.BROADCAST:
             return self._roll_call(listeners, t_ns)
@@ -198,14 +235,14 @@ class ServoBus(SerialChip, Scheduled):
             replies += mine
         return replies
 
-    def _write_group(self, instruction: Instruction, listeners: list[Servo], t_ns: int) -> None:
+    def _write_group(self, instruction: Instruction, listening: _Listening, t_ns: int) -> None:
         """Execute a sync or bulk write: no replies; a servo rejects invalid data silently."""
-        for servo in listeners:
-            if not servo.torque:
+        for servo in listening.servos:
+            if not servo.axis.torque:
                 self._live.sense(servo, t_ns)
         for servo_id, address, data in write_parts(instruction):
-            for servo in listeners:
-                if servo_id in (servo.id, servo.secondary):
+            for servo in listening.addressed(servo_id, changed=self._bus is not listening):
+                if not servo.repeats(address, data):
                     servo.write(address, data)
 
     def _read_in_turn(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
@@ -229,24 +266,22 @@ class ServoBus(SerialChip, Scheduled):
                 free_ns = reply.ready_ns + len(reply.data) * byte_ns
         return replies
 
-    def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
+    def _fast_read(self, wanted: Wanted, listening: _Listening, t_ns: int) -> list[Reply]:
         """Execute a fast sync or bulk read: one packet that the servos send together."""
-        able = [s for s in listeners if s.reads_fast]
+        able, by_id = listening.able, listening.able_by_id
         if not self._faults.plan.empty:
             able = [s for s in able if self._faults.replies[s.joint].copies(t_ns)]
-        by_id = {s.id: s for s in able}
-        parts, places = [], []
-        for place, (servo_id, address, length) in enumerate(wanted):
+            by_id = {s.id: s for s in able}
+        places = []
+        for place, (servo_id, _, _) in enumerate(wanted):
             servo = by_id.get(servo_id)
-            if servo is None:
-                if self.options.after_absent == "silent":
-                    break
-                continue
-            error, data = self._single.read_range(servo, address, length, t_ns)
-            parts.append((servo_id, error | servo.alert, data if data else bytes(length)))
-            places.append((place, servo))
-        if not parts:
+            if servo is not None:
+                places.append((place, servo))
+            elif self.options.after_absent == "silent":
+                break
+        if not places:
             return []
+        parts = self._parts(wanted, places, t_ns)
         declared = 1 + sum(length + 4 for _, _, length in wanted)
         pieces = protocol.fast_status(parts, declared)
         if places[0][0]:
@@ -261,6 +296,24 @@ class ServoBus(SerialChip, Scheduled):
         if len(pieces) == len(wanted) and self._faults.plan.empty:
             return [Reply(ready_ns, b"".join(pieces))]
         return self._spaced(pieces, places, wanted, ready_ns, t_ns)
+
+    def _parts(
+        self, wanted: Wanted, places: list[tuple[int, Servo]], t_ns: int
+    ) -> list[tuple[int, int, bytes]]:
+        """ID, error and data of each servo that takes part in a fast read."""
+        _, address, length = wanted[0]
+        if all(part[1] == address and part[2] == length for part in wanted):
+            motion = self._live.motion([servo for _, servo in places], address, length, t_ns)
+            if motion is not None:
+                return [
+                    (servo.id, servo.alert, data) for (_, servo), data in zip(places, motion, strict=True)
+                ]
+        parts = []
+        for place, servo in places:
+            servo_id, address, length = wanted[place]
+            error, data = self._single.read_range(servo, address, length, t_ns)
+            parts.append((servo_id, error | servo.alert, data if data else bytes(length)))
+        return parts
 
     def _spaced(
         self, pieces: list[bytes], places: list[tuple[int, Servo]], wanted: Wanted, ready_ns: int, t_ns: int

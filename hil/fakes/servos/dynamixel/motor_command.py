@@ -253,6 +253,10 @@ class Axis:
             trajectory.move(raw, acceleration, velocity, self._timed)
         self.drive()
 
+    def stands_at(self, name: str, raw: int) -> bool:
+        """Whether the motor is driven and a goal is its set-point, so that `pursue` does nothing."""
+        return self.torque and self._there_already(name, raw)
+
     def _there_already(self, name: str, raw: int) -> bool:
         """Return whether a goal is already the motor's set-point."""
         trajectory = self.trajectory

@@ -59,6 +59,27 @@ class LiveRegisters:
         servo.sense(counts, velocity)
         return velocity, current
 
+    def motion(self, servos: list[Servo], address: int, length: int, t_ns: int) -> list[bytes] | None:
+        """Update and return the same registers of several servos, where all are read in every cycle.
+
+        None for other registers, and for sensors with faults.
+        """
+        row = servos[0].table.layout.motion
+        begin, end = address - row.address, address + length - row.address
+        if begin < 0 or address + length > row.end or length == 0 or not self._faults.none:
+            return None
+        if any(servo.table.layout.motion is not row for servo in servos):
+            return None
+        self._renew(t_ns)
+        counts, velocities, currents = self._all
+        found = []
+        for servo in servos:
+            j = servo.joint
+            data = row.pack(*servo.motion(counts[j], velocities[j], currents[j]))
+            servo.table.put_row(row, data)
+            found.append(data[begin:end])
+        return found
+
     def refresh(self, servo: Servo, address: int, length: int, t_ns: int) -> None:
         """Update the registers that a read of this range may cover."""
         end, layout = address + length, servo.table.layout

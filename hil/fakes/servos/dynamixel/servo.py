@@ -4,6 +4,8 @@
 bus's `Sensing` to its own counts, direction and turns.
 """
 
+from collections.abc import Callable
+
 from hil.config.servo_models import Register, ServoModel
 from hil.config.servo_models.x_series_codes import (
     BAUD_CODES,
@@ -24,6 +26,11 @@ _TORQUE_ON_BY_GOAL = 8
 _POSITION_GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
 _VELOCITY_GAINS = ("velocity_p_gain", "velocity_i_gain")
 _BACKUP_FIRMWARE = 45
+_NO_GOAL: tuple[int, bytes, str, int] = (-1, b"", "", 0)
+
+
+def _heard_by_nobody() -> None:
+    """Nobody asks for changes."""
 
 
 class Servo:
@@ -42,6 +49,7 @@ class Servo:
         dead: True if it has no power.
         busy_until_ns: end of the boot time, before which it receives nothing.
         velocity: last measured velocity, counts in the joint's direction.
+        on_change: called when it may listen or answer otherwise from now on.
         temperature_limit, least_voltage, most_voltage: limits in raw counts, beyond which it sets an error.
     """
 
@@ -68,6 +76,7 @@ class Servo:
         self._pending: tuple[int, bytes] | None = None
         self._backup: dict[str, int] | None = None
         self.velocity = 0
+        self.on_change: Callable[[], None] = _heard_by_nobody
         self.boot(0, 0)
         self.busy_until_ns = 0
 
@@ -123,6 +132,7 @@ class Servo:
     def lose_power(self) -> None:
         """Handle a loss of supply: torque off."""
         self.dead = True
+        self.on_change()
         self.axis.lose_power()
 
     def slip(self, counts: int) -> None:
@@ -169,6 +179,10 @@ class Servo:
         sign = self.axis.position.sign
         return sign * current, sign * velocity, self.present
 
+    def repeats(self, address: int, data: bytes) -> bool:
+        """Whether bytes are the latest goal again and the motor stands there: writing has no effect."""
+        return (address, data) == self._latest[:2] and self.axis.stands_at(*self._latest[2:])
+
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all side effects (`dry`: check only); returns the error number."""
         try:
@@ -179,8 +193,11 @@ class Servo:
         except WriteRefused as refused:
             return refused.code
         if not dry:
+            self._latest = _NO_GOAL
             for register, raw in values:
                 self._store(register, raw)
+            if len(values) == 1 and values[0][0].name in GOALS:
+                self._latest = (address, data, values[0][0].name, values[0][1])
         return protocol.OK
 
     def register_write(self, address: int, data: bytes) -> int:
@@ -288,6 +305,8 @@ class Servo:
         elif name == "bus_watchdog":
             self.axis.tripped = False
             self._watchdog_ns = round(raw * WATCHDOG_STEP_S * 1e9)
+        elif name == "status_return_level":
+            self.on_change()
         elif name == "operating_mode":
             self._change_mode(raw)
         elif register.eeprom:
@@ -311,6 +330,8 @@ class Servo:
     def _load(self) -> None:
         """Cache registers that are used often."""
         table = self.table
+        self._latest = _NO_GOAL
+        self.on_change()
         self.firmware = table.get("firmware_version")
         self.id, self.secondary = table.get("id"), table.get("secondary_id")
         self.baud = BAUD_RATES[table.get("baud_rate")]
