@@ -38,6 +38,7 @@ from hil.loop.timing import LoopStatistics
 from hil.recording.cycle_log import CycleLog
 from hil.recording.runs import START_COVARIANCE, RunStart
 from hil.robot.trajectories import Trajectory
+from hil.support.garbage import old_objects_passed_over
 from hil.user_code.checked_calls import own_name
 
 LOG = logging.getLogger(__name__)
@@ -325,8 +326,7 @@ class Bench(HeldDevices):
         warm_up(pipeline, start.state)
         with ExitStack() as stack:
             stack.push(self._lost_device)
-            if self.real_time is not None:
-                stack.enter_context(self.real_time)
+            stack.enter_context(old_objects_passed_over() if self.real_time is None else self.real_time)
             if drop_old:
                 self._hold.passed_over(self.devices.read(0))
             loop = self.make_loop(pipeline, start)
