@@ -108,7 +108,14 @@ class Supervisor:
         ]
         self.in_order: list[tuple[str, Check]] = [("", check) for check in found if check is not None]
         self.in_order += [(kind, check) for kind, added in own.added.items() for check in added]
+        self._of_samples = self._overriding("on_samples")
+        self._of_estimate = self._overriding("on_estimate")
         self.reset()
+
+    def _overriding(self, stage: str) -> list[tuple[str, Check]]:
+        """The checks that look at something in a stage, in their order."""
+        nothing = getattr(Check, stage)
+        return [(kind, one) for kind, one in self.in_order if getattr(type(one), stage) is not nothing]
 
     def reset(self) -> None:
         """Clear the state of the run."""
@@ -133,7 +140,7 @@ class Supervisor:
                 estimate in the loop does not use; for a lasting silence their driver raises
                 `DeviceTimeoutError`.
         """
-        for cycle.source, check in self.in_order:
+        for cycle.source, check in self._of_samples:
             check.on_samples(cycle)
         cycle.stops = self._pace.excused(cycle.stops)
         cycle.must_go_on(self._pace.beside(cycle.inputs.t_ns))
@@ -147,7 +154,7 @@ class Supervisor:
         """
         assert cycle.state is not None
         before = len(cycle.events)
-        for cycle.source, check in self.in_order:
+        for cycle.source, check in self._of_estimate:
             check.on_estimate(cycle)
         heading_rad = cycle.state.pose_body_in_wall.item(2)
         self.last = LastCycle(heading_rad, self.last.wheel_rate_rad_s, cycle.next_inflation)

@@ -6,7 +6,7 @@ needed.
 
 import cmath
 import math
-from collections import deque
+from bisect import bisect_right
 
 import numpy as np
 
@@ -42,31 +42,37 @@ class Track:
 
     def clear(self) -> None:
         """Remove all values."""
-        self._kept: deque[tuple[int, Kept]] = deque(maxlen=_KEPT)
+        self._times: list[int] = []
+        self._values: list[Kept] = []
         self.newest_ns: int | None = None
 
     def put(self, t_ns: int, values: Kept) -> None:
-        """Add the newest values."""
-        self._kept.append((t_ns, values))
+        """Add the newest values; their time is not before that of the last."""
+        times = self._times
+        times.append(t_ns)
+        self._values.append(values)
         self.newest_ns = t_ns
+        if len(times) >= 2 * _KEPT:
+            del times[:-_KEPT], self._values[:-_KEPT]
 
     def covers(self, t_ns: int) -> bool:
         """Whether the series has no gap since a time."""
-        return bool(self._kept) and self._kept[0][0] <= t_ns
+        times = self._times
+        return bool(times) and times[max(0, len(times) - _KEPT)] <= t_ns
 
     def at(self, t_ns: int) -> Kept | None:
         """Values at a time, interpolated; None outside the series."""
         if self.newest_ns is None or t_ns > self.newest_ns:
             return None
-        later_ns, later = self._kept[-1]
-        for at_ns, values in reversed(self._kept):
-            if at_ns == t_ns:
-                return values
-            if at_ns < t_ns:
-                part = (t_ns - at_ns) / (later_ns - at_ns)
-                return tuple([a + part * (b - a) for a, b in zip(values, later, strict=True)])
-            later_ns, later = at_ns, values
-        return None
+        times = self._times
+        k = bisect_right(times, t_ns) - 1
+        if k < 0 or k < len(times) - _KEPT:
+            return None
+        at_ns, values = times[k], self._values[k]
+        if at_ns == t_ns:
+            return values
+        part = (t_ns - at_ns) / (times[k + 1] - at_ns)
+        return tuple([a + part * (b - a) for a, b in zip(values, self._values[k + 1], strict=True)])
 
 
 def moved(before: Kept, now: Kept) -> tuple[complex, float]:
