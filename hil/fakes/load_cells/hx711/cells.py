@@ -25,7 +25,7 @@ COUNTS = 1 << 23
 DELAY_S = 0.1
 _JUMP_N, _WRONG = 10.0, 1.5
 _BOOT_NS = 400_000_000
-_S_PER_MIN = 60.0
+_S_PER_MIN, _DRIFTS_S = 60.0, 600.0
 _BLOCK = 256
 
 Newton = Annotated[float, Within(0.0, 100.0, "N")]
@@ -38,7 +38,9 @@ class LoadCellTruthOptions:
     Attributes:
         noise_n: noise of a conversion, each cell.
         zero_sigma_n: deviation of each cell's zero from the bench file.
-        drift_n_per_min: drift of the zero per minute.
+        drift_n_per_min: drift of the zero per minute, in the first ten minutes. It ends, as warming up and
+            creep do: OIML R 60 allows load cells a fifth as much creep from the 20th to the 30th minute as in
+            all 30.
         scale_sigma: relative error of each cell's scale.
         uneven_share: share of the load by which one cell has more than the other.
     """
@@ -94,7 +96,7 @@ class Cells:
         if not self._noise:
             self._noise = self._rng.standard_normal((_BLOCK, 2)).tolist()
         noise = self._noise.pop()
-        t_s, sigma = t_ns / NS_PER_S, self._options.noise_n
+        t_s, sigma = min(t_ns / NS_PER_S, _DRIFTS_S), self._options.noise_n
         cells = zip(self._scale, self._share, self._zero_n, self._drift_n_s, noise, strict=True)
         seen = [c * share * true_n + zero_n + drift * t_s + sigma * n for c, share, zero_n, drift, n in cells]
         if self.faults.none:
