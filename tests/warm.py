@@ -16,7 +16,7 @@ import sys
 import threading
 from pathlib import Path
 
-from tests.warm_template import STATUS
+from tests.warm_template import BESIDE, STATUS
 
 MODULES = ("hil", "hil.cli", "pytest")
 """What is forked."""
@@ -40,11 +40,11 @@ def _words(command):
     return words if how == "-m" else [how[2:], *words]
 
 
-def _read_at_start(environment, folder):
-    """What counts of an environment when a process begins; `-m` looks in its folder anyway."""
+def _read_at_start(environment):
+    """What counts of an environment when a process begins, but for the folders of modules."""
     read = {name: value for name, value in environment.items() if name.startswith(READ_AT_START)}
-    searched = read.pop("PYTHONPATH", "").split(os.pathsep)
-    return read, [place for place in searched if place not in ("", folder)]
+    read.pop(BESIDE, None)
+    return read
 
 
 class Template:
@@ -75,7 +75,10 @@ class Template:
                 if self._process is None:
                     self._start()
                 socket.send_fds(self._control, [pickle.dumps(request)], [*streams, reported])
-                return STATUS.unpack(self._control.recv(STATUS.size))[0], status
+                answer = self._control.recv(STATUS.size)
+                if not answer:
+                    raise ConnectionResetError("what commands are forked from has ended")
+                return STATUS.unpack(answer)[0], status
         finally:
             os.close(reported)
 
@@ -84,6 +87,24 @@ class Template:
         if self._process is not None:
             self._control.close()
             self._process.wait()
+
+
+class Asked(Template):
+    """The same process as a command sees it that was forked from it.
+
+    Args:
+        place: address of its listening socket.
+        environment: that with which it was started.
+    """
+
+    def __init__(self, place, environment):
+        super().__init__()
+        self.environment, self._place = environment, place
+
+    def _start(self):
+        self._control = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._control.connect(self._place)
+        self._process = self._control
 
 
 class Warm(STARTED):
@@ -110,7 +131,11 @@ class Warm(STARTED):
             "session": given["start_new_session"],
         }
         streams = [standard if given_one == -1 else given_one for standard, given_one in enumerate(wanted)]
-        self.pid, self._status = self.template.fork(request, streams)
+        try:
+            self.pid, self._status = self.template.fork(request, streams)
+        except OSError:  # a command that has outlived what it was forked from
+            super()._execute_child(*arguments)
+            return
         self._child_created = True
         pipes = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
         self._close_pipe_fds(*(given[name] for name in pipes))
@@ -128,7 +153,7 @@ class Warm(STARTED):
             and given["umask"] == -1
             and given.get("process_group", -1) == -1
             and os.path.isdir(folder)
-            and _read_at_start(environment, folder) == _read_at_start(cls.template.environment, folder)
+            and _read_at_start(environment) == _read_at_start(cls.template.environment)
         )
 
     def _try_wait(self, flags):

@@ -14,6 +14,8 @@ from hil.bench.by_hand import HandFaults
 from hil.faults.fault import parse_fault
 from tests.served_as_real import served_as_real
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 WATCH = """
 from hil.procedure import Context, procedure
 

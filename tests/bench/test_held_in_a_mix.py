@@ -18,6 +18,8 @@ from hil.procedure.declaration import Measurement, Procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.robot.trajectories import line
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 HOP = line((0, 0, 0), (0.06, 0, 0), duration_s=1.5)
 SEES = ("imu", "tracker", "mocap")
 PRESSES = ("adhesion", "load_cells")

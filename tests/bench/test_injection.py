@@ -28,6 +28,8 @@ from hil.faults.fault import parse_fault
 from hil.recording.runs import RunStart
 from hil.robot.trajectories import line
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 
 def bench_with(
     *specs: str,

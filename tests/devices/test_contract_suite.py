@@ -6,6 +6,7 @@ import pytest
 from installing import ROOT
 
 pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.usefixtures("warm_commands")
 
 SLOPPY = """
 from dataclasses import replace

@@ -11,6 +11,8 @@ import pytest
 from faulty_package import PACKAGE, driver
 from installing import environment
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 STUCK = """def {method}(self):
         print("in {method}", file=sys.stderr, flush=True)
         while True:

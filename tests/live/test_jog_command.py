@@ -161,6 +161,17 @@ def test_the_body_moves_ahead_and_a_closed_terminal_stops_it(tmp_path):
     assert replayed(path) == "identical"
 
 
+def answered(read, *register):
+    """What the stock SDK reads; it waits for some ms only, so on a busy computer it asks again."""
+    results = []
+    while len(results) < 100:
+        value, result, _ = read(*register)
+        if result == COMM_SUCCESS:
+            return value
+        results.append(result)
+    raise AssertionError(results)
+
+
 def test_in_a_mix_a_killed_terminal_stops_the_wheels_within_the_bus_watchdog(tmp_path):
     """The servos are another program's, at a port; the bench emulates its encoders. Nothing speaks after."""
     words = ["emulate", "--bench", "emulated_floor", "--only", "servos"]
@@ -180,11 +191,10 @@ def test_in_a_mix_a_killed_terminal_stops_the_wheels_within_the_bus_watchdog(tmp
             threading.Event().wait(0.1)  # any request would feed the watchdog, which waits for 0.08 s
             jog.close()
             assert port.setBaudRate(served["baud"])
-            watchdog, result, _ = packets.read1ByteTxRx(port, served["ids"][0], WATCHDOG)
-            assert (watchdog, result) == (TRIGGERED, COMM_SUCCESS)
+            assert answered(packets.read1ByteTxRx, port, served["ids"][0], WATCHDOG) == TRIGGERED
             rates = []
             while not rates or rates[-1]:  # it rolls out by its own deceleration
-                rates.append(packets.read4ByteTxRx(port, served["ids"][0], PRESENT_VELOCITY)[0])
+                rates.append(answered(packets.read4ByteTxRx, port, served["ids"][0], PRESENT_VELOCITY))
                 assert len(rates) < 200, rates
             port.closePort()
             assert all(late <= early + 1 for early, late in pairwise(rates)), (
