@@ -14,6 +14,7 @@ from hil.datasets.changed_wheels import wheel_alone
 from hil.datasets.sampling import is_slow
 from hil.datasets.truth_deviations import SCALE_STD, STDS, beyond, beyond_alone, significant, typical, uneven
 from hil.datasets.truth_fit import TruthFit, truth_fit
+from hil.datasets.truth_sessions import other_sessions
 from hil.datasets.wheel_log import Recording
 
 _LATE_S, _PERIODS = 0.03, 0.1
@@ -44,6 +45,7 @@ class _Found:
         centre_m: tracked point (x + iy) in the frame of the body.
         notes: corrections, in words.
         contradiction: deviations that are not corrected, in words.
+        others: headings of recordings of another session, minus those of the other repetitions, by index.
     """
 
     late: Sequence[bool]
@@ -54,6 +56,7 @@ class _Found:
     centre_m: complex
     notes: tuple[str, ...]
     contradiction: tuple[str, ...]
+    others: Mapping[int, float]
 
 
 def corrected(recordings: Sequence[Recording]) -> list[Recording]:
@@ -61,10 +64,11 @@ def corrected(recordings: Sequence[Recording]) -> list[Recording]:
 
     Stamps are corrected from 0.03 s on (with slow ground truth a tenth of its period more), a fast clock from
     0.05 % (0.1 % in a single recording), a heading from 0.03 rad (where no single wheel explains it,
-    `wheel_alone`), a centre from 10 mm. A heading that is 0.04
-    rad from that of most other recordings, or a centre that is 20 mm from theirs, is of another body:
+    `wheel_alone`), a centre from 10 mm. A heading that is 0.04 rad from that of most other recordings or
+    0.015 rad from that of other repetitions, or a centre that is 20 mm from theirs, is of another body:
     `contradictions` say so. A heading that is more than a radian off is not corrected, it contradicts; half a
-    turn is left to `wrong_signs`. What is no clock, heading or centre is not corrected either: axes of
+    turn is left to `wrong_signs`. What is no clock, heading or centre is not corrected either: poses spread
+    over 0.15 s, one wheel that is 0.03 s later than the others, axes of
     another scale or sheared by 2 %, a heading that drifts by 1.5 mrad/s, a clock that runs unevenly by
     0.04 s. Each has to be four times its standard error, the last one twice in most recordings. A single
     recording contradicts from 3 % (axes), 2 mrad/s, or 4 % (scale of all positions) on.
@@ -72,8 +76,8 @@ def corrected(recordings: Sequence[Recording]) -> list[Recording]:
     fits = [None if one.contradictions else truth_fit(one) for one in recordings]
     found = _common(recordings, fits)
     return [
-        _corrected(one, fit, late, fast, found)
-        for one, fit, late, fast in zip(recordings, fits, found.late, found.fast, strict=True)
+        _corrected(one, fit, (late, fast), found, found.others.get(k))
+        for k, (one, fit, late, fast) in enumerate(zip(recordings, fits, found.late, found.fast, strict=True))
     ]
 
 
@@ -84,6 +88,11 @@ def notes_of(recordings: Sequence[Recording]) -> list[str]:
 
 def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) -> _Found:
     known = [fit for fit in fits if fit is not None]
+    centre_m, by_turns = _agreed([(fit.centre_m, fit.centre_std_m) for fit in known], _CENTRE_STD_M, _OTHER_M)
+    bodies = [fit for fit in known if fit.centre_std_m < _CENTRE_STD_M]
+    same = bool(bodies) and all(abs(fit.centre_m - centre_m) <= _OTHER_M for fit in bodies)
+    others = other_sessions(recordings, fits, centre_m if same else None)
+    known = [fit for k, fit in enumerate(fits) if fit is not None and k not in others]
     late = [
         fit is not None and abs(fit.late_s) >= _worth_s(one)
         for one, fit in zip(recordings, fits, strict=True)
@@ -91,11 +100,14 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
     fast = typical([fit.fast for fit in known])
     if abs(fast) < max(_FAST, STDS * _error([fit.fast for fit in known], [fit.fast_std for fit in known])):
         fast = 0.0
-    fasts = [fast if fit is None or not _fast_alone(fit, fast) else fit.fast for fit in fits]
+    typical_scale = typical([fit.scale for fit in known if fit.scale_std < SCALE_STD]) or 1.0
+    fasts = [
+        fit.fast if fit and _fast_alone(fit, fast) and not beyond_alone(fit, typical_scale) else fast
+        for fit in fits
+    ]
     alone = {one.name: own for one, own in zip(recordings, fasts, strict=True) if own != fast}
     headings = [(complex(fit.heading_rad), fit.heading_std_rad) for fit in known]
     heading, by_ways = _agreed(headings, _HEADING_STD_RAD, _OTHER_RAD)
-    centre_m, by_turns = _agreed([(fit.centre_m, fit.centre_std_m) for fit in known], _CENTRE_STD_M, _OTHER_M)
     heading_rad = heading.real if abs(heading) >= _HEADING_RAD else 0.0
     if heading_rad and wheel_alone(recordings, recordings[0].nominal.geometry) is not None:
         heading_rad = 0.0
@@ -107,7 +119,6 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
     ]
     notes, contradiction = _of_clocks(delays_s, fast, len(known), alone), tuple[str, ...]()
     scales = [(complex(fit.scale), fit.scale_std) for fit in known if fit.scale_std < SCALE_STD]
-    typical_scale = typical([scale.real for scale, _ in scales]) if scales else 1.0
     far, typical_rad = abs(heading_rad) > _FAR_RAD, heading.real
     if far and abs(heading_rad) < _REVERSE_RAD:
         contradiction = (
@@ -116,12 +127,16 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
         )
     if contradiction := contradiction or beyond(known):
         still = [0.0] * len(fits)
-        return _Found([False] * len(fits), still, typical_scale, typical_rad, 0.0, 0j, (), contradiction)
+        return _Found(
+            [False] * len(fits), still, typical_scale, typical_rad, 0.0, 0j, (), contradiction, others
+        )
     if far:
         heading_rad, centre_m = 0.0, 0j
     notes += _of_body(heading_rad, by_ways, complex(centre_m * np.exp(1j * heading_rad)), by_turns)
     notes += _of_scale([(scale - 1.0, std) for scale, std in scales])
-    return _Found(late, fasts, typical_scale, typical_rad, heading_rad, centre_m, notes, contradiction)
+    return _Found(
+        late, fasts, typical_scale, typical_rad, heading_rad, centre_m, notes, contradiction, others
+    )
 
 
 def _fast_alone(fit: TruthFit, fast: float) -> bool:
@@ -129,9 +144,12 @@ def _fast_alone(fit: TruthFit, fast: float) -> bool:
     return abs(fit.fast - fast) > max(_FAST_ALONE, STDS * fit.fast_std) and not uneven(fit)
 
 
-def _corrected(one: Recording, fit: TruthFit | None, late: bool, fast: float, found: _Found) -> Recording:
+def _corrected(
+    one: Recording, fit: TruthFit | None, clock: tuple[bool, float], found: _Found, off_rad: float | None
+) -> Recording:
     """A recording with its own delay, and with what is common to all, taken out of its ground truth."""
-    unlike = found.contradiction or _unlike(fit, found)
+    unlike = found.contradiction or _unlike(fit, found, off_rad)
+    late, fast = clock
     if not found.notes and not unlike:
         return one
     pose, middle_s = one.truth_pose.copy(), 0.5 * float(one.truth_t_s[0] + one.truth_t_s[-1])
@@ -152,17 +170,20 @@ def _corrected(one: Recording, fit: TruthFit | None, late: bool, fast: float, fo
     )
 
 
-def _unlike(fit: TruthFit | None, found: _Found) -> tuple[str, ...]:
-    """Why a recording is of another body than the others."""
+def _unlike(fit: TruthFit | None, found: _Found, session_rad: float | None) -> tuple[str, ...]:
+    """Why a recording is of another body than the others; `session_rad` of `_Found.others`."""
     if fit is None:
         return ()
     if out := list(beyond_alone(fit, found.typical_scale)):
         return tuple(out)
     off_rad, off_m = fit.heading_rad - found.typical_rad, fit.centre_m - found.centre_m
     off_rad = (off_rad + np.pi) % (2.0 * np.pi) - np.pi
-    if fit.heading_std_rad < _HEADING_STD_RAD and abs(off_rad) > max(_OTHER_RAD, STDS * fit.heading_std_rad):
+    if fit.heading_std_rad >= _HEADING_STD_RAD or abs(off_rad) < max(_OTHER_RAD, STDS * fit.heading_std_rad):
+        off_rad = 0.0
+    off_rad, others = (off_rad, "recordings") if session_rad is None else (session_rad, "repetitions")
+    if off_rad:
         out.append(
-            f"the heading of its ground truth is {off_rad:.2f} rad off that of the other recordings, or all "
+            f"the heading of its ground truth is {off_rad:.2f} rad off that of the other {others}, or all "
             f"its steering angles are {-off_rad:.2f} rad off theirs (a limit, zeros that were set anew)"
         )
     if fit.centre_std_m < _CENTRE_STD_M and abs(off_m) > _OTHER_M:

@@ -4,88 +4,152 @@
 has alone, is named as what it is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hil.core.geometry import Array
+from hil.core.signals import WHEELS
 from hil.datasets.truth_fit import TruthFit
+from hil.datasets.truth_moves import DRIFT, SKEW, SMOOTHED, UNEVEN
 
 STDS, SCALE_STD = 4.0, 0.012
+_SMOOTHED_S2, _SMOOTHED_STD_S2 = 0.15**2, 0.07**2
 _DRIFT_RAD_S, _DRIFT_STD_RAD_S, _SKEW, _SKEW_STD = 1.5e-3, 2.5e-3, 0.01, 0.01
-_WOBBLE_S, _WOBBLE_STDS = 0.04, 2.0
-_SMOOTH_S2, _SMOOTH_STD_S2 = 0.15**2, 0.07**2
+_UNEVEN_S, _UNEVEN_STDS = 0.04, 2.0
+_WHEEL_S, _WHEEL_STD_S, _WHEEL_ALONE_STD_S = 0.03, 0.1, 0.03
 _DRIFT_ALONE_RAD_S, _SKEW_ALONE, _SCALE_ALONE = 2e-3, 0.015, 0.04
 """Bounds for a recording that differs from the others of its set."""
+_ALIKE, _ALONE = 0.8, 3.0
+_TRANSIENT = (SMOOTHED, UNEVEN, *WHEELS)
+
+_SMOOTHER = (
+    "its ground truth is smoother than the motion of the wheels, spread over {:.2f} s or more (standard "
+    "deviation), and so wrong wherever the motion changes: it was filtered, averaged, or filled in between "
+    "fewer poses; take poses as measured"
+)
+_UNEVENLY = (
+    "the clock of its ground truth runs unevenly, by about {:.2f} s in a recording (neither a delay nor a "
+    "stretch); stamp both logs by one clock"
+)
+_LATE = (
+    "its columns of the {} wheel (phi, delta) come {:.2f} s or more {} than those of the other wheels: stamp "
+    "all wheels by one clock"
+)
 
 
 def beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
-    """What is wrong with the ground truth of a set that no clock, heading or centre explains, in words."""
-    smooth_s2 = significant(
-        [(complex(fit.smooth_s2), fit.smooth_std_s2) for fit in known], _SMOOTH_S2, _SMOOTH_STD_S2
-    ).real
-    if smooth_s2 > 0.0:
-        return (
-            "its ground truth is smoother than the motion of the wheels, spread over "
-            f"{np.sqrt(smooth_s2):.2f} s or more (standard deviation), and so wrong wherever the motion "
-            "changes: it was filtered, averaged, or filled in between fewer poses; take poses as measured",
-        )
+    """What is wrong with a set that no clock, heading or centre explains, in words."""
+    if not known:
+        return ()
+    if transient := _transient(known):
+        return (transient,)
     out = []
-    skew = significant([(fit.skew, fit.skew_std) for fit in known], _SKEW, _SKEW_STD)
-    drift_rad_s = significant(
-        [(complex(fit.drift_rad_s), fit.drift_std_rad_s) for fit in known], _DRIFT_RAD_S, _DRIFT_STD_RAD_S
-    ).real
-    uneven_s = [fit.wobble_s for fit in known if uneven(fit)]
-    if skew:
+    skew, drift_rad_s = (
+        _common(known, SKEW, _SKEW, _SKEW_STD),
+        _common(known, DRIFT, _DRIFT_RAD_S, _DRIFT_STD_RAD_S),
+    )
+    if skew.any():
         out.append(
-            f"lengths in its ground truth depend on their direction, by {200 * abs(skew):.1f} % (paths on "
-            "which the body turns): one axis has another scale, or the axes are not at right angles; "
-            "calibrate the capture system again"
+            f"lengths in its ground truth depend on their direction, by {200 * np.linalg.norm(skew):.1f} % "
+            "(paths on which the body turns): one axis has another scale, or the axes are not at right "
+            "angles; calibrate the capture system again"
         )
-    if drift_rad_s:
+    if drift_rad_s.any():
         out.append(
-            f"the heading of its ground truth drifts by {drift_rad_s:.4f} rad/s from that of the wheels, at "
-            "rest as well; look at what gives the heading (a gyroscope, markers that come loose)"
-        )
-    if 2 * len(uneven_s) > len(known):
-        out.append(
-            f"the clock of its ground truth runs unevenly, by about {typical(uneven_s):.2f} s in a "
-            "recording (neither a delay nor a stretch); stamp both logs by one clock"
+            f"the heading of its ground truth drifts by {drift_rad_s[0]:.4f} rad/s from that of the wheels, "
+            "at rest as well; look at what gives the heading (a gyroscope, markers that come loose)"
         )
     return tuple(out)
 
 
+def _transient(known: Sequence[TruthFit]) -> str:
+    """What is wrong where the motion changes; empty where nothing is."""
+    likely, alike = _likely({name: sum(fit.causes[name].gain for fit in known) for name in _TRANSIENT})
+    if likely == SMOOTHED:
+        smoothed_s2 = _common(known, SMOOTHED, _SMOOTHED_S2, _SMOOTHED_STD_S2)[0]
+        return _SMOOTHER.format(np.sqrt(smoothed_s2)) if smoothed_s2 > 0.0 else ""
+    if likely == UNEVEN:
+        uneven_s = [fit.causes[UNEVEN].size for fit in known if uneven(fit)]
+        return _UNEVENLY.format(typical(uneven_s)) if 2 * len(uneven_s) > len(known) else ""
+    late_s = _common(known, likely, _WHEEL_S, _WHEEL_STD_S)[0]
+    return _late(alike, late_s) if late_s and len(alike) < len(WHEELS) else ""
+
+
+def _likely(gains: Mapping[str, float]) -> tuple[str, list[str]]:
+    """The likeliest cause, and the wheels that explain nearly as much.
+
+    One wheel that is late is an average of two times as well, and makes the clock look uneven; neither of
+    these looks like one wheel. They count where they explain three times as much as any wheel.
+    """
+    wheel, common = (max(names, key=lambda name: gains[name]) for names in (WHEELS, (SMOOTHED, UNEVEN)))
+    likely = common if gains[common] > _ALONE * gains[wheel] else wheel
+    return likely, [name for name in WHEELS if gains[name] > _ALIKE * gains[likely]]
+
+
+def _late(wheels: Sequence[str], late_s: float) -> str:
+    word = "later" if late_s > 0.0 else "earlier"
+    return _LATE.format(" or ".join(wheels), abs(late_s), word)
+
+
 def uneven(fit: TruthFit) -> bool:
     """Whether the clock of a ground truth may step or bend: neither a delay nor a stretch."""
-    return fit.wobble_s > max(_WOBBLE_S, _WOBBLE_STDS * fit.wobble_std_s)
+    found = fit.causes[UNEVEN]
+    return found.size > max(_UNEVEN_S, _UNEVEN_STDS * found.std)
 
 
 def beyond_alone(fit: TruthFit, typical_scale: float) -> tuple[str, ...]:
-    """What is wrong with the ground truth of one recording that no clock, heading or centre explains.
+    """What is wrong with one recording that no clock, heading or centre explains.
 
     Args:
         fit: fit of the recording.
         typical_scale: distance by ground truth over distance by wheels in most recordings of its set.
     """
-    out, off = [], fit.scale - typical_scale
-    if _clear(fit.skew, 2.0 * fit.skew_std, _SKEW_ALONE, _SKEW_STD):  # slip is a skew where a path bends once
+    if transient := _transient_alone(fit):
+        return (transient,)
+    out, off, skew, drift = [], fit.scale - typical_scale, fit.causes[SKEW], fit.causes[DRIFT]
+    if _clear(skew.size, 2.0 * skew.std, _SKEW_ALONE, _SKEW_STD):  # slip is a skew where a path bends once
         out.append(
-            f"lengths in its ground truth depend on their direction, by {200 * abs(fit.skew):.1f} %: one "
+            f"lengths in its ground truth depend on their direction, by {200 * skew.size:.1f} %: one "
             "axis has another scale, or the axes are not at right angles"
         )
     elif _clear(off, fit.scale_std, _SCALE_ALONE, SCALE_STD):
         out.append(f"distances in its ground truth are {1.0 + off:.3f} times those of the other recordings")
-    if _clear(fit.drift_rad_s, fit.drift_std_rad_s, _DRIFT_ALONE_RAD_S, _DRIFT_STD_RAD_S):
-        out.append(f"the heading of its ground truth drifts by {fit.drift_rad_s:.4f} rad/s from the wheels'")
-    if _clear(fit.wobble_s, fit.wobble_std_s, _WOBBLE_S, _WOBBLE_S):
-        out.append(
-            f"the clock of its ground truth runs unevenly, by {fit.wobble_s:.2f} s; cut it at the step"
-        )
+    if _clear(drift.size, drift.std, _DRIFT_ALONE_RAD_S, _DRIFT_STD_RAD_S):
+        out.append(f"the heading of its ground truth drifts by {drift.values[0]:.4f} rad/s from the wheels'")
     return tuple(out)
 
 
-def _clear(value: complex, std: float, least: float, most_std: float) -> bool:
+def _transient_alone(fit: TruthFit) -> str:
+    """What is wrong with one recording where its motion changes; empty where nothing is."""
+    likely, alike = _likely({name: fit.causes[name].gain for name in _TRANSIENT})
+    found = fit.causes[likely]
+    if likely == SMOOTHED and found.values[0] > 0.0:
+        clear = _clear(found.size, found.std, _SMOOTHED_S2, _SMOOTHED_STD_S2)
+        return _SMOOTHER.format(np.sqrt(found.size)) if clear else ""
+    if likely == UNEVEN and _clear(found.size, found.std, _UNEVEN_S, _UNEVEN_S):
+        return f"the clock of its ground truth runs unevenly, by {found.size:.2f} s; cut it at the step"
+    if (
+        likely in WHEELS
+        and len(alike) < len(WHEELS)
+        and _clear(found.size, found.std, _WHEEL_S, _WHEEL_ALONE_STD_S)
+    ):
+        return _late(alike, float(found.values[0]))
+    return ""
+
+
+def _clear(value: float, std: float, least: float, most_std: float) -> bool:
     """Whether a value is above `least` and four standard errors, and its standard error below `most_std`."""
     return std < most_std and abs(value) > max(least, STDS * std)
+
+
+def _common(known: Sequence[TruthFit], name: str, least: float, std: float) -> Array:
+    """Coefficients of a cause that recordings have in common; zeros where it is not significant."""
+    found = [fit.causes[name] for fit in known]
+    if len(found[0].values) == 1:
+        return np.array([significant([(complex(one.values[0]), one.std) for one in found], least, std).real])
+    both = significant([(complex(*one.values), one.std) for one in found], least, std)
+    return np.array([both.real, both.imag])
 
 
 def significant(measured: Sequence[tuple[complex, float]], least: float, std: float) -> complex:

@@ -17,6 +17,7 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.truth_correction import corrected, notes_of
 from hil.datasets.truth_fit import truth_fit
+from hil.datasets.truth_moves import SMOOTHED
 from hil.datasets.wheel_log import build_recording
 from hil.robot.kinematics import WheelGeometry
 
@@ -313,7 +314,8 @@ def test_averaged_poses_are_called_smoother_and_not_late_or_fast_or_drifting(dat
 @pytest.mark.parametrize("over_s", [0.4, 0.6])
 def test_the_variance_of_an_average_is_measured(perfect, over_s):
     fits = [truth_fit(averaged(one, over_s)) for one in perfect]
-    assert np.median([fit.smooth_s2 for fit in fits]) == pytest.approx(over_s**2 / 12.0, rel=0.5)
+    found_s2 = np.median([fit.causes[SMOOTHED].values[0] for fit in fits])
+    assert found_s2 == pytest.approx(over_s**2 / 12.0, rel=0.5)
 
 
 def test_one_wheel_set_wrongly_is_not_called_a_heading_of_the_ground_truth(perfect):

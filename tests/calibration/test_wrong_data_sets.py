@@ -1,0 +1,108 @@
+"""Sets with one injected fault: each is refused with its cause, or the figure is right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS, hidden_robot, make_set
+from hil.cli import main
+from hil.datasets.plain_csv import write_plain
+from hil.datasets.truth_correction import corrected
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return make_set(hidden_robot(4), 4, (*MOTIONS, "arc"), 2)
+
+
+def second(one):
+    return one.name.endswith("_2")
+
+
+def turned(by_rad):
+    """The body of the second repetitions was set anew, with another heading."""
+    return lambda one: (
+        replace(one, truth_pose=one.truth_pose + np.array([0.0, 0.0, by_rad])) if second(one) else one
+    )
+
+
+def off_centre(by_m):
+    """The body of the second repetitions was set anew, with another middle."""
+
+    def spoil(one):
+        pose = one.truth_pose.copy()
+        pose[:, :2] += by_m * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+        return replace(one, truth_pose=pose) if second(one) else one
+
+    return spoil
+
+
+def wheel_late(wheel, by_s):
+    """The columns of one wheel come from a slower bus."""
+
+    def spoil(one):
+        angle, steering = one.wheel_angle_rad.copy(), one.steering_rad.copy()
+        for columns in (angle, steering):
+            columns[:, wheel] = np.interp(one.t_s - by_s, one.t_s, columns[:, wheel])
+        return replace(one, wheel_angle_rad=angle, steering_rad=steering)
+
+    return spoil
+
+
+def averaged(over_s):
+    """Each pose is the mean of those over so many seconds about it."""
+
+    def spoil(one):
+        rows = round(over_s / float(np.median(np.diff(one.truth_t_s)))) // 2 * 2 + 1
+        padded = np.pad(one.truth_pose, ((rows // 2, rows // 2), (0, 0)), mode="edge")
+        sums = np.cumsum(np.vstack([np.zeros(3), padded]), axis=0)
+        return replace(one, truth_pose=(sums[rows:] - sums[:-rows]) / rows)
+
+    return spoil
+
+
+ALL = {f"{motion}_{k}" for motion in (*MOTIONS, "arc") for k in (1, 2)}
+SHOWN = {name for name in ALL if name.endswith("_2") and not name.startswith("rotation")}
+"""Recordings whose heading matters: turns on the spot go nowhere."""
+
+
+@pytest.mark.parametrize(
+    ("spoil", "cause", "named"),
+    [
+        (turned(0.02), "the heading of its ground truth is 0.02 rad off", SHOWN),
+        (turned(0.05), "the heading of its ground truth is 0.05 rad off", SHOWN),
+        (turned(-0.2), "the heading of its ground truth is 0.20 rad off", SHOWN),
+        (off_centre(0.03), "tracks a point 30 mm from", {"rotation_ccw_2", "rotation_cw_2"}),
+        (wheel_late(0, 0.3), "columns of the FL wheel", ALL),
+        (wheel_late(2, -0.3), "columns of the BR wheel", ALL),
+        (averaged(1.0), "smoother than the motion of the wheels", ALL),
+        (averaged(0.3), "", set()),
+    ],
+    ids=["turned 0.02", "turned 0.05", "turned -0.2", "off centre", "FL late", "BR early", "1 s", "0.3 s"],
+)
+def test_a_fault_is_refused_with_its_cause_or_the_figure_is_right(healthy, spoil, cause, named):
+    """A body turned back is the second repetitions' or, by the smaller heading, that of the first ones."""
+    found = {one.name: one.contradictions for one in corrected([spoil(one) for one in healthy])}
+    refused = {name for name, said in found.items() if said}
+    assert refused in (named, {name.replace("_2", "_1") for name in named})
+    assert all(cause in found[name][0] or cause.replace("is ", "is -") in found[name][0] for name in refused)
+
+
+def test_a_wheel_whose_columns_are_late_ends_evaluate_with_2(healthy, tmp_path, capsys):
+    for one in healthy:
+        write_plain(tmp_path / f"{one.name}.csv", wheel_late(0, 0.3)(one))
+    assert main(["evaluate", str(tmp_path)]) == 2
+    assert main(["calibrate", str(tmp_path), "--no-validation", "--out", str(tmp_path / "c.toml")]) == 2
+    assert "columns of the FL wheel" in capsys.readouterr().err
+    assert not (tmp_path / "c.toml").exists()
+
+
+@pytest.mark.parametrize("seed", [7, 8, 28, 29])
+def test_bursts_of_slip_are_no_fault_of_the_ground_truth(seed):
+    """Each of these sets had a line with bursts, whose distances, heading or drift seemed to be another's."""
+    contact = ("viscous", "coulomb", "creep", "elastic")[seed % 4]
+    motions = (*MOTIONS, *OTHER_MOTIONS)[: 6 + seed % 5]
+    share = (0.0, 0.25, 0.5)[seed % 3]
+    found = corrected(make_set(hidden_robot(seed, contact=contact), seed, motions, 2, slip_share=share))
+    assert [one.name for one in found if one.contradictions] == []
