@@ -21,7 +21,7 @@ from hil.config.estimator import MocapNoise
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock, nanoseconds
 from hil.core.cross_check import CrossCheck
-from hil.core.errors import ConfigError, DeviceError, check_number
+from hil.core.errors import ConfigError, DeviceError, HilError, check_number
 from hil.core.geometry import Array, ArrayLike
 from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
 from hil.core.registry import kinds
@@ -85,6 +85,7 @@ class Bench(HeldDevices):
             None without one.
         parameters: values that the bench takes for granted, and what measurements say about each.
         lost: errors of devices that ended a run of the bench, as texts.
+        stopped_by: error that has ended the latest run, as a text; empty where none did.
         faults: faults planned for its devices.
         injection: faults in front of its real devices.
         seen: events of warning and above since it was opened.
@@ -325,7 +326,8 @@ class Bench(HeldDevices):
         self._warn(emulated_hold(self.config))
         warm_up(pipeline, start.state)
         with ExitStack() as stack:
-            stack.push(self._lost_device)
+            self.stopped_by = ""
+            stack.push(self._ended_by)
             stack.enter_context(old_objects_passed_over() if self.real_time is None else self.real_time)
             if drop_old:
                 self._hold.passed_over(self.devices.read(0))
@@ -343,11 +345,13 @@ class Bench(HeldDevices):
                 if start.controller is not None:
                     self._left = self._hold.last_state
 
-    def _lost_device(self, _: object, error: BaseException | None, __: object) -> None:
-        """Store the error of a failed device; the error is still raised."""
+    def _ended_by(self, _: object, error: BaseException | None, __: object) -> None:
+        """Store the error that has ended a run, and that of a failed device; the error is still raised."""
+        self.stopped_by = str(error) if isinstance(error, HilError) else ""
         if isinstance(error, DeviceError):
             self.lost.append(str(error))
-            self.seen.add(Event(self.clock.now_ns(), "error", error.device, str(error)))
+            said = str(error).removeprefix(f"{error.device}: ")
+            self.seen.add(Event(self.clock.now_ns(), "error", error.device, said))
 
     def _until_tilted(self, until: Until, *, filtered: bool) -> Until:
         """Wrap `until` so that gravity is compared with the bench file once more in the first cycles."""

@@ -1,13 +1,14 @@
 """Table of a running bench on a terminal: rate, age, state and values of every device, rewritten in place.
 
 The figures are those of the console (`hil.monitor.status_stream`). A thread writes them, so that a terminal
-that stands still (Ctrl-S) does not hold up the loop; figures that it cannot take are left out.
+that stands still (Ctrl-S) does not hold up the loop; figures that it cannot take are left out. When the loop
+has ended, what is seen of the robot takes the place of figures that are true no more.
 """
 
 import os
 import textwrap
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from math import degrees, hypot
 from queue import Full, Queue
@@ -23,6 +24,7 @@ _LONGEST_WAIT_S = 1.0
 _SPARE_ROWS = 3
 _COLUMNS, _ROWS = 80, 24
 """Size of a terminal that does not tell its own."""
+_SHOWN = ("live", "watched")
 _Figures = Mapping[str, Any]
 
 
@@ -57,14 +59,15 @@ class LiveTable(StatusStream):
         self._writer = None
 
     def _show(self, kind: str, figures: _Figures) -> None:
-        if kind != "live":
+        if kind not in _SHOWN:
             return
         if self._writer is None:
             self._writer = threading.Thread(target=self._write, args=(self._texts,), daemon=True)
             self._writer.start()
         with suppress(Full, OSError):  # no terminal any more
             size = os.get_terminal_size(self._terminal)
-            self._texts.put_nowait(frame(figures, size.columns or _COLUMNS, size.lines or _ROWS))
+            lines = [figures["words"]] if kind == "watched" else [_motion(figures), *table(figures)]
+            self._texts.put_nowait(frame(lines, size.columns or _COLUMNS, size.lines or _ROWS))
 
     def _write(self, texts: Queue[str | None]) -> None:
         while True:
@@ -79,15 +82,14 @@ class LiveTable(StatusStream):
                 return
 
 
-def frame(figures: _Figures, columns: int, rows: int) -> str:
+def frame(whole: Sequence[str], columns: int, rows: int) -> str:
     """The table as text for a terminal; leaves the cursor above it, where the next message goes.
 
     Args:
-        figures: figures of the loop, as `StatusStream` tells them.
+        whole: lines of the table, or on a robot that is watched without a loop.
         columns: width of the terminal; longer lines go on in the next one.
         rows: height of the terminal; values that do not fit are left out.
     """
-    whole = [_motion(figures), *table(figures)]
     lines = [part for line in whole for part in textwrap.wrap(line, columns - 1, subsequent_indent="    ")]
     room = max(rows - _SPARE_ROWS, 1)
     if len(lines) > room:

@@ -6,6 +6,7 @@ started it is gone.
 
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -14,7 +15,11 @@ from hil.console.json_files import put_private
 
 
 def main() -> None:
-    """Record this process, take the files of the job as standard streams, become `hil`."""
+    """Record this process, take the files of the job as standard streams, become `hil`.
+
+    A console that a script has started in the background ignores SIGINT, and its jobs would inherit that.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     folder = Path(sys.argv[1])
     words = json.loads((folder / COMMAND).read_text(encoding="utf-8"))["words"]
     put_private(folder / PROCESS, identity(os.getpid()))

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hil.console.jobs import FINISH, NO_RESULT, STOPPED, Job, alive, first, jobs, send, state
+from hil.console.jobs import FINISH, NO_RESULT, STOPPED, Job, alive, first, ignores, jobs, send, state
 
 _GRACE_S = 0.3
 _POLL_S = 0.02
@@ -51,10 +51,14 @@ def finish(job: Job) -> str:
     claim = job.folder / FINISH
     if not first(claim):
         return "it was asked to end already: STOP ends it at once"
-    if send(job, signal.SIGINT):
+    if ignores(job, signal.SIGINT):
+        why_not = "its process ignores the request (SIGINT): STOP ends it"
+    elif send(job, signal.SIGINT):
         return ""
+    else:
+        why_not = "it has ended"
     claim.unlink(missing_ok=True)
-    return "it has ended"
+    return why_not
 
 
 def wait_for(asked: Sequence[Job], limit_s: float) -> list[dict[str, Any]]:

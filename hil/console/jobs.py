@@ -38,7 +38,7 @@ COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin
 STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
 NO_RESULT, BY_STOP = "ENDED", "STOPPED"
 """Verdicts of a job that left no result, and of one that STOP has ended."""
-_HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
+_HOLDS = {"progress": dict, "live": dict, "watched": dict, "held": dict, "question": str, "answered": str}
 """Keys of a JSON line on standard error, with the type of the value."""
 _BY_ITSELF = ("duration", "trajectory")
 """Reasons for which a live loop ends without being stopped."""
@@ -159,6 +159,17 @@ def send(job: Job, number: int) -> bool:
     return signal_process(read(job.folder / PROCESS), number)
 
 
+def ignores(job: Job, number: int) -> bool:
+    """Whether the process of a job ignores a signal, by what the kernel says of it."""
+    pid = read(job.folder / PROCESS).get("pid")
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+    mask = next((line.split()[1] for line in status.splitlines() if line.startswith("SigIgn:")), "0")
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
 def signal_process(process: Mapping[str, Any], number: int) -> bool:
     """Send a signal to the process of this identity, and to no other; returns whether it exists."""
     if not same(process):
@@ -242,6 +253,7 @@ def put(job: Job, line: bytes) -> bool:
 def state(job: Job) -> dict[str, Any]:
     """What a page shows of a job: progress, question, figures, messages, how it ended. Plain values.
 
+    `watched` is what is seen of its robot while no loop runs; `live_age_s` the age of the loop's figures.
     `question_id` identifies the question among those of the job: it is the byte at which it begins in
     `stderr`. An answered question is left out.
     """
@@ -259,6 +271,8 @@ def state(job: Job) -> dict[str, Any]:
         "progress": None,
         "whole": None,
         "live": None,
+        "live_age_s": None,
+        "watched": None,
         "held": None,
         "messages": [],
         "events": [],
@@ -270,6 +284,8 @@ def state(job: Job) -> dict[str, Any]:
         if place not in passed:
             _take(reported, place, line)
     del reported["messages"][:-_MOST_SHOWN]
+    if running and reported["live"] is not None:
+        reported["live_age_s"] = _age_s(reported["live"])
     if not running or (job.folder / f"{ANSWER}{reported['question_id']}").exists():
         reported |= {"question": None, "question_id": None}
     return reported if running else reported | _end(job, reported)
@@ -292,10 +308,18 @@ def _take(shown: dict[str, Any], place: int, line: str) -> None:
     elif kind == "answered":
         shown |= {"question": None, "question_id": None}
     elif kind == "live":
-        shown["live"], shown["held"] = data, None  # of a bench before this one
+        shown |= {"live": data, "watched": None, "held": None}  # of a bench before this one
         shown["events"] = list(data.get("events", ()))
+    elif kind == "watched":
+        shown |= {"watched": data, "events": list(data.get("events", ()))}
     else:
         shown[kind] = data
+
+
+def _age_s(figures: Mapping[str, Any]) -> float | None:
+    """Age of figures that a running process of this computer has told, s; None where it gives no time."""
+    told_s = figures.get("host_s")
+    return max(0.0, time.monotonic() - told_s) if isinstance(told_s, (int, float)) else None
 
 
 def _end(job: Job, shown: Mapping[str, Any]) -> dict[str, Any]:

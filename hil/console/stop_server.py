@@ -110,7 +110,7 @@ class StopProcess:
         reported = []
         for job in shown:
             state = jobs.state(job)
-            keys = ("name", "title", "running", "stopping", "question", "held", "verdict", "why")
+            keys = ("name", "title", "running", "stopping", "question", "watched", "held", "verdict", "why")
             reported.append(
                 {k: state.get(k) for k in keys} | {"words": "" if state["running"] else in_words(state)}
             )

@@ -23,6 +23,7 @@ from hil.core.signals import (
     WheelMeasurement,
     WheelSetpoint,
 )
+from hil.core.watched_robot import WatchedRobot
 
 S_co = TypeVar("S_co", covariant=True)
 
@@ -215,6 +216,10 @@ class Sink(Protocol):
             kind: `RUN_NOTE`, `HELD_NOTE`, or one of the caller's own.
             data: plain values.
         """
+        return
+
+    def watched(self, robot: WatchedRobot) -> None:
+        """Take what is seen of the robot while it is watched without a loop. Never blocks or raises."""
         return
 
     def objection(self) -> HilError | None:

@@ -19,6 +19,7 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import Aborted, HilError
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink
+from hil.core.known_names import JOG
 from hil.core.registry import sample_names
 from hil.core.signals import CycleRecord, Status, worst
 from hil.live.reference_files import MakeTrajectory
@@ -182,7 +183,8 @@ class LiveSession:
     def summary(self) -> dict[str, object]:
         """What happened: duration, punctuality, samples, last pose, recording."""
         last, bench = self._last, self.bench
-        pose = None if last is None else [float(v) for v in last.state.pose_body_in_wall]
+        joint = (self._driver or "").startswith(JOG)  # odometry of one wheel is not the robot's pose
+        pose = None if last is None or joint else [float(v) for v in last.state.pose_body_in_wall]
         found: dict[str, object] = {
             "bench": bench.config.name,
             "ended": self.ended,

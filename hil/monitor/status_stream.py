@@ -4,20 +4,25 @@ No Rerun and no thread: figures that are due are passed on within the cycle, as 
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.event_rows import EventRows, event_lines
-from hil.core.interfaces import HELD_NOTE, Sink
+from hil.core.interfaces import HELD_NOTE, RUN_NOTE, Sink
 from hil.core.kind_figures import KindFigures, Limited, unlimited
+from hil.core.known_names import JOG
 from hil.core.registry import kinds, sample_names
 from hil.core.signals import KINDS, CycleRecord, Inputs, worst
-from hil.core.third_party_errors import PackageError, call_in_package
+from hil.core.watched_robot import WatchedRobot
+from hil.monitor.stream_state import StreamLimits
 
 _EVERY_NS = NS_PER_S // 2
+_RATE_OVER = 3
+"""Number of periods over which a rate is measured."""
 _HEALTH = "health"
 _OURS = (*KINDS, _HEALTH)
 
@@ -28,7 +33,8 @@ class StatusStream(Sink):
     """Passes on pose and device states twice a second of the host's clock, also in virtual time.
 
     Args:
-        tell: function that receives `("live", figures)`, and `("held", how)` when a bench is closed.
+        tell: function that receives `("live", figures)`, `("watched", what is seen)` while the robot is
+            watched without a loop, and `("held", how)` when a bench is closed.
         clock: the host's.
         config: configuration of the bench; its name, and whether its robot is real, are passed on, too.
         limited: time limit of the figures of a device's package, as of `KindFigures`.
@@ -41,10 +47,11 @@ class StatusStream(Sink):
         self._next_ns = 0
         self._begun_ns: int | None = None
         self._counts = dict.fromkeys(config.devices(), 0)
-        self._due_hz = {name: _due_hz(name, config) for name in config.devices()}
+        self._limits = {name: StreamLimits.of(name, config) for name in config.devices()}
+        self._loops = self._turns_joint = False
         self._latest: dict[str, tuple[Any, ...]] = {}
         self._figures_of = KindFigures(limited)
-        self._told_ns: int | None = None
+        self._told: deque[tuple[int, dict[str, int]]] = deque(maxlen=_RATE_OVER)
         self._events = EventRows()
 
     def write(self, record: CycleRecord) -> None:
@@ -54,7 +61,7 @@ class StatusStream(Sink):
         for name in sample_names(record.inputs):
             samples = record.inputs.of(name)
             if samples:
-                self._counts[name] = self._counts.get(name, 0) + len(samples)
+                self._counts[name] += len(samples)
                 self._latest[name] = samples[-1:]
         if record.inputs.health:
             self._latest[_HEALTH] = record.inputs.health[-1:]
@@ -63,35 +70,52 @@ class StatusStream(Sink):
         now_ns = self._clock.now_ns()
         if now_ns >= self._next_ns:
             self._next_ns = now_ns + _EVERY_NS
-            self._tell("live", self._figures(record))
-            self._counts, self._told_ns = dict.fromkeys(self._counts, 0), record.inputs.t_ns
+            self._tell("live", self._figures(record) | {"host_s": now_ns / NS_PER_S})
+            self._told.append((record.inputs.t_ns, dict(self._counts)))
+        self._loops = True
+
+    def watched(self, robot: WatchedRobot) -> None:
+        """Pass on what is seen of the robot without a loop: at once, then twice a second."""
+        now_ns = self._clock.now_ns()
+        if self._loops or now_ns >= self._next_ns:
+            self._next_ns, self._loops = now_ns + _EVERY_NS, False
+            events = event_lines(self._events.rows())
+            told = {"words": str(robot), "events": events, "host_s": now_ns / NS_PER_S}
+            self._tell("watched", {**asdict(robot), **told})
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Pass on how the robot was left."""
+        """Pass on how the robot was left; rates begin anew with each run of the loop."""
         if kind == HELD_NOTE:
             self._tell(HELD_NOTE, data)
+        elif kind == RUN_NOTE:
+            self._told.clear()
+            self._turns_joint = str(data.get("controller")).startswith(JOG)
 
     def close(self) -> None:
         """Reset the time axis: the next bench has its own."""
-        self._begun_ns = self._told_ns = None
+        self._begun_ns = None
+        self._told.clear()
         self._latest.clear()
 
     def _devices(self, inputs: Inputs) -> dict[str, dict[str, Any]]:
         """Rate, age, state and values of every device; a device that has sent nothing has none."""
-        since_s = 0.0 if self._told_ns is None else (inputs.t_ns - self._told_ns) / NS_PER_S
         ours: dict[str, Any] = {name: value for name, value in self._latest.items() if name in _OURS}
         added = {name: value for name, value in self._latest.items() if name not in ours}
         newest = replace(inputs, **ours, added={**inputs.added, **added})
-        return {name: self._device(name, newest, since_s) for name in self._counts}
+        return {name: self._device(name, newest) for name in self._counts}
 
-    def _device(self, name: str, newest: Inputs, since_s: float) -> dict[str, Any]:
-        count, samples = self._counts[name], self._latest.get(name, ())
+    def _device(self, name: str, newest: Inputs) -> dict[str, Any]:
+        samples, limits = self._latest.get(name, ()), self._limits[name]
+        then_ns, before = self._told[0] if self._told else (newest.t_ns, self._counts)
+        window_s = (newest.t_ns - then_ns) / NS_PER_S
+        rate_hz = (self._counts[name] - before[name]) / window_s if window_s > 0.0 else None
+        age_s = (newest.t_ns - samples[-1].stamp.t_ns) / NS_PER_S if samples else math.nan
+        status = worst(samples[-1]) if samples else None
         told: dict[str, Any] = {
-            "samples": count,
-            "status": worst(samples[-1]).value if samples else "nothing yet",
-            "rate_hz": _short(count / since_s if since_s else None),
-            "due_hz": self._due_hz.get(name),
-            "age_ms": _short((newest.t_ns - samples[-1].stamp.t_ns) / 1e6 if samples else None),
+            "status": limits.state(status, age_s, rate_hz or 0.0, window_s),
+            "rate_hz": _short(rate_hz),
+            "due_hz": _number(limits.due_hz),
+            "age_ms": _short(1e3 * age_s),
         }
         kind = kinds()[name]
         titles = {plot.entity: plot.title for plot in kind.plots}
@@ -108,8 +132,8 @@ class StatusStream(Sink):
         return {
             **self._bench,
             "t_s": round(since_ns / NS_PER_S, 3),
-            "pose": _plain(state.pose_body_in_wall),
-            "twist": _plain(state.twist_body),
+            "pose": [None] * 3 if self._turns_joint else _plain(state.pose_body_in_wall),
+            "twist": [None] * 3 if self._turns_joint else _plain(state.twist_body),
             "reference": None if record.reference is None else _plain(record.reference.pose_in_wall),
             "wheel_rad_s": _plain(wheels[-1].wheel_rate_rad_s) if wheels else None,
             "steering_rad": _plain(wheels[-1].steering_rad) if wheels else None,
@@ -118,16 +142,6 @@ class StatusStream(Sink):
             "devices": self._devices(record.inputs),
             "events": event_lines(self._events.rows()),
         }
-
-
-def _due_hz(name: str, config: BenchConfig) -> float | None:
-    """Rate of a healthy device; None where it is not known."""
-    kind = kinds()[name]
-    given = config.devices()[name], config.loop.rate_hz
-    try:
-        return _number(call_in_package(name, kind.package, "rate_hz()", kind.rate_hz, *given))
-    except PackageError:
-        return None  # a bench that asks for it names the package
 
 
 def _plain(values: Sequence[float] | Any) -> list[float | None]:

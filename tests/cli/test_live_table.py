@@ -12,10 +12,11 @@ import time
 import pytest
 
 from hil.bench import open_bench
-from hil.cli.live_table import LiveTable, frame
+from hil.cli.live_table import LiveTable, frame, table
 from hil.config.loading import load_bench
 from hil.core.clock import Clock, nanoseconds
 from hil.core.interfaces import Sink
+from hil.core.watched_robot import WatchedRobot
 
 ROWS, COLUMNS = 40, 100
 
@@ -93,6 +94,19 @@ def test_every_device_is_on_the_screen_with_its_newest_values(records, terminal)
     assert list(map(float, told)) == pytest.approx(angles.tolist(), rel=1e-2, abs=1e-6)
 
 
+def test_a_watched_robot_takes_the_place_of_figures_that_are_true_no_more(records, terminal):
+    seen, file = terminal
+    shown = LiveTable(file, At(), load_bench("emulated_floor"))
+    shown.write(records[0])
+    screen(seen, rb"\x1b\[\d+A$")
+    shown.watched(WatchedRobot("robot stopped (adhesion): the fan is off", "it slides", None))
+    text = " ".join(screen(seen, rb"\x1b\[\d+A$").decode().split())
+    assert text.startswith("\x1b[J"), "what stood there is gone"
+    assert "the loop has stopped: robot stopped (adhesion): the fan is off" in text
+    assert "mm/s" not in text
+    shown.close()
+
+
 def test_a_terminal_that_stands_still_holds_up_nothing(records, terminal):
     _, file = terminal
     table = LiveTable(file, At(), load_bench("emulated_floor"))
@@ -105,7 +119,8 @@ def test_what_does_not_fit_the_window_is_left_out():
     device = {"due_hz": None, "rate_hz": 10.0, "age_ms": None, "status": "ok"}
     values = {"a": {f"value_{k}": 1.0 for k in range(60)}}
     robot = {"bench": "b", "robot": "real", "t_s": 1.0, "pose": [None] * 3, "twist": [None] * 3}
-    text = frame({**robot, "adhesion_n": None, "devices": {"own": {**device, "values": values}}}, 40, 12)
+    figures = {**robot, "adhesion_n": None, "devices": {"own": {**device, "values": values}}}
+    text = frame(table(figures), 40, 12)
     lines = text.split("\n")[1:]
     assert len(lines) < 12
     assert max(map(len, lines[:-1])) < 40

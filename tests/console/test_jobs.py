@@ -181,6 +181,16 @@ def test_what_a_running_job_says_is_its_state(tmp_path):
     assert state["messages"][0] == "a message"
 
 
+def test_figures_have_an_age_and_what_is_watched_ends_with_the_next_loop(tmp_path):
+    told = line(live={"pose": [1, 2, 3], "host_s": time.monotonic() - 7.0, "events": []})
+    process, watched = jobs.identity(os.getpid()), {"words": "the loop has stopped: no air", "events": ["e"]}
+    state = jobs.state(job_in(tmp_path / "a", process=process, err=told + line(watched=watched)))
+    assert (state["watched"], state["events"]) == (watched, ["e"])
+    assert 7.0 <= state["live_age_s"] < 60.0
+    state = jobs.state(job_in(tmp_path / "b", process=process, err=line(watched=watched) + told))
+    assert state["watched"] is None
+
+
 @pytest.mark.parametrize("text", ["null", "{}", '{"progress": 1}', '{"live": [], "b": 1}', "{"])
 def test_a_line_that_is_no_object_of_ours_is_a_message(tmp_path, text):
     state = jobs.state(job_in(tmp_path, process=jobs.identity(os.getpid()), err=text + "\n"))
@@ -261,6 +271,38 @@ def wait_until(condition, limit_s=60.0):
     while not condition():
         assert time.monotonic() < end_s
         time.sleep(0.02)
+
+
+def test_a_job_of_a_console_that_ignores_ctrl_c_ends_after_its_step_all_the_same(tmp_path):
+    """A script that starts the console with `&` makes it ignore SIGINT, and children inherit that."""
+    (tmp_path / "asking.py").write_text(ASKING)
+    words = ["run", str(tmp_path / "asking.py"), "--answers=-", "--json", "--out", str(tmp_path / "out")]
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        job = jobs.start(tmp_path / "jobs", words, "asking")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    try:
+        wait_until(lambda: jobs.state(job)["question"] == "which colour?")
+        assert finish(job) == ""
+        assert jobs.answer(job, jobs.state(job)["question_id"], "blue") == ""
+        wait_until(lambda: not jobs.alive(job))
+    finally:
+        stop_all(tmp_path / "jobs")
+    steps = json.loads((tmp_path / "out" / "result.json").read_text())["steps"]
+    assert [step["title"] for step in steps] == ["a question"]
+
+
+def test_a_request_that_a_process_ignores_is_refused_and_can_be_made_again(tmp_path):
+    code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); print(flush=True); input()"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as deaf:
+        deaf.stdout.readline()
+        job = job_in(tmp_path, process=jobs.identity(deaf.pid))
+        for _ in range(2):
+            assert "STOP ends it" in finish(job)
+            assert not jobs.state(job)["finishing"]
+        deaf.communicate(b"\n")
 
 
 def test_a_run_is_asked_for_answered_and_stopped_within_its_step_and_ends_held(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ import pytest
 from hil.bench import open_bench
 from hil.config.loading import load_bench
 from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import SafetyStop
 from hil.core.interfaces import Sink
 from hil.core.signals import Event
 from hil.monitor.status_stream import StatusStream
+from hil.robot.trajectories import line
 
 
 class At(Clock):
@@ -28,6 +31,29 @@ class At(Clock):
 
     def schedule(self, task, due_ns):
         raise AssertionError
+
+
+class ToldInTime(Sink):
+    """A stream on the bench's own time; keeps what is told, each with its time, s."""
+
+    def __init__(self, bench):
+        self.told, self._clock = [], bench.clock
+        self._stream = StatusStream(self._tell, bench.clock, bench.config)
+
+    def _tell(self, kind, data):
+        self.told.append((kind, data, self._clock.now_ns() / 1e9))
+
+    def write(self, record):
+        self._stream.write(record)
+
+    def note(self, t_ns, kind, data):
+        self._stream.note(t_ns, kind, data)
+
+    def watched(self, robot):
+        self._stream.watched(robot)
+
+    def close(self):
+        self._stream.close()
 
 
 class Kept(Sink):
@@ -65,10 +91,10 @@ def test_it_reports_twice_a_second_and_counts_what_came_between(records):
     clock.ns += nanoseconds(1.0)
     stream.write(records[9])
     assert reported[-1][1]["t_s"] == 0.0  # a bench that is opened again has a time of its own
-    came = sum(len(r.inputs.servos) for r in records[1:5])
     servos = reported[1][1]["devices"]["servos"]
-    assert (servos["samples"], servos["status"], servos["due_hz"]) == (came, "ok", 100.0)
-    assert servos["rate_hz"] == pytest.approx(100.0, rel=0.3)
+    came = sum(len(r.inputs.servos) for r in records[1:5])
+    assert (servos["status"], servos["due_hz"]) == ("ok", 100.0)
+    assert servos["rate_hz"] == pytest.approx(came / 0.04, rel=1e-3)
     assert abs(servos["age_ms"]) < 10.0
     shown = servos["values"]["Servo angles (rad)"]
     seen = [s for r in records[:5] for s in r.inputs.servos][-1]
@@ -107,3 +133,68 @@ def test_how_the_robot_was_left_is_passed_on_and_nothing_else_that_is_noted(reco
     stream.note(0, "run", {})
     stream.note(0, "held", {"state": "HELD"})
     assert reported == [("held", {"state": "HELD"})]
+
+
+@pytest.mark.parametrize(
+    ("fault", "device", "state"),
+    [("tracker:off@1.7", "tracker", "silent"), ("encoders:slow@1.7,factor=3", "encoders", "slow")],
+)
+def test_the_state_of_a_device_is_that_of_now_and_not_of_its_last_sample(fault, device, state):
+    with open_bench("emulated_floor", faults=[fault]) as bench:
+        seen = ToldInTime(bench)
+        bench.add_sink(seen)
+        bench.observe(2.9, feedback="odometry")
+    live = [(data["devices"], t_s) for kind, data, t_s in seen.told if kind == "live"]
+    before = [devices for devices, t_s in live if 0.6 < t_s < 1.7]
+    after = [devices for devices, t_s in live if t_s > 2.4]
+    assert len(before) > 1
+    assert len(after) > 1
+    assert {told["status"] for devices in before for told in devices.values()} == {"ok"}
+    assert {devices[device]["status"] for devices in after} == {state}
+    others = [told["status"] for devices in after for name, told in devices.items() if name != device]
+    assert set(others) == {"ok"}
+
+
+def test_a_robot_whose_loop_has_stopped_is_told_as_watched_within_a_second(records):
+    """The fan fails while the robot drives up the wall: what is told of it then is not that it drives."""
+    with open_bench("emulated", faults=["adhesion:off@4"]) as bench:
+        seen = ToldInTime(bench)
+        bench.add_sink(seen)
+        with pytest.raises(SafetyStop) as stop:
+            bench.drive(line((0, 0, 0), (0.3, 0, 0), duration_s=20.0), feedback="odometry")
+        stopped_s = bench.clock.now_ns() / 1e9
+    after = [(kind, data, t_s) for kind, data, t_s in seen.told if t_s >= stopped_s]
+    kind, told, t_s = after[0]
+    assert kind == "watched"
+    assert t_s < stopped_s + 1.0
+    assert str(stop.value) in told["words"]
+    assert any("adhesion" in event for event in told["events"])
+    assert {kind for kind, _, _ in after} == {"watched", "held"}
+    times = [t_s for kind, _, t_s in after if kind == "watched"]
+    assert max(b - a for a, b in pairwise(times)) < 1.0
+
+
+def test_wheels_at_rest_are_told_with_the_time_since_when():
+    with open_bench("emulated") as bench:
+        seen = ToldInTime(bench)
+        bench.add_sink(seen)
+        bench.drive(line((0, 0, 0), (0.02, 0, 0), duration_s=2.0), feedback="odometry", hold_s=0.0)
+        bench.look()
+        rests = [(data["rest_s"], data["why"]) for kind, data, _ in seen.told if kind == "watched"]
+    assert rests[0] == (None, ""), "nothing has been seen yet"
+    known = [rest_s for rest_s, _ in rests if rest_s is not None]
+    assert known
+    assert known == sorted(known)
+
+
+def test_no_pose_is_told_while_one_wheel_turns_alone(records):
+    """By odometry of a lifted wheel the robot would seem to drive."""
+    reported, clock = [], At()
+    stream = StatusStream(lambda kind, data: reported.append(data), clock, BENCH)
+    for controller, known in (("jog:drive_FL", False), (None, True)):
+        stream.note(0, "run", {"controller": controller})
+        clock.ns += nanoseconds(1.0)
+        stream.write(records[0])
+        assert (reported[-1]["pose"] != [None] * 3) == known
+        assert (reported[-1]["twist"] != [None] * 3) == known
+        assert None not in reported[-1]["wheel_rad_s"]

@@ -21,6 +21,7 @@ from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
 from hil.core.interfaces import HELD_NOTE, Sink
+from hil.core.watched_robot import WatchedRobot
 from hil.faults.fault import Fault
 from hil.loop.device_set import DeviceSet
 from hil.recording.clocks import ptp_offsets
@@ -58,13 +59,14 @@ class HeldDevices:
         self.injection.follow(lambda: self.world_ns)
         devices.disarm = self.injection.disarm
         self._is_open = False
+        self.stopped_by = ""
         self._begun_ns: int | None = None
         self._clock_description: dict[str, object] | None = None
         self._closed_ns: int | None = None
         self._looked_ns: int | None = None
         self.pressed = ""
         self.seen = SeenEvents(self._since_begun_ns)
-        self._hold = HoldMonitor(model, devices, clock, self.seen.add)
+        self._hold = HoldMonitor(model, devices, clock, self.seen.add, self._show_watched)
         self._sinks = [*sinks, self.seen]
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []
@@ -225,6 +227,11 @@ class HeldDevices:
         """Send a note between two cycles to all sinks."""
         for sink in self._sinks:
             sink.note(t_ns, kind, data)
+
+    def _show_watched(self, doubt: str, rest_s: float | None) -> None:
+        """Pass on to all sinks what is seen of the robot while it is watched."""
+        for sink in self._sinks:
+            sink.watched(WatchedRobot(self.stopped_by, doubt, rest_s))
 
     def has(self, name: str) -> bool:
         """Whether the bench has a device of this kind."""

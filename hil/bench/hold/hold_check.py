@@ -23,7 +23,7 @@ from hil.bench.hold.slide_watch import SlideWatch
 from hil.bench.hold.tilt_check import TiltWatch
 from hil.bench.loop_settings import can_fall
 from hil.bench.pipelines import BenchModel
-from hil.core.clock import Clock, nanoseconds
+from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import HilError
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink
@@ -130,6 +130,8 @@ class HoldMonitor(Sink):
         devices: devices of the bench.
         clock: the bench clock.
         tell: called with an event when the check raises fan or propellers.
+        show: called while the robot is watched: why it does not count as held yet, and the time for which
+            its wheels have been at rest (s; None where they turn, or are not seen).
 
     Attributes:
         tilt: measured tilt: "on the floor" is accepted only if it does not contradict.
@@ -137,9 +139,14 @@ class HoldMonitor(Sink):
     """
 
     def __init__(
-        self, model: BenchModel, devices: DeviceSet, clock: Clock, tell: Callable[[Event], None]
+        self,
+        model: BenchModel,
+        devices: DeviceSet,
+        clock: Clock,
+        tell: Callable[[Event], None],
+        show: Callable[[str, float | None], None],
     ) -> None:
-        self._tell = tell
+        self._tell, self._show = tell, show
         config, elsewhere = model.config, model.config.elsewhere()
         self.tilt = TiltWatch(config)
         self._press = press_watch(config, devices)
@@ -256,6 +263,7 @@ class HoldMonitor(Sink):
         self._pressed_ns, self._pushed = None, False
         self._felt_m_s2.clear()
         self._reads, self._unread = 0, Counter()
+        self._resting_ns: int | None = None
         self._lost_ns()
         while True:
             hold = servos.look_after()
@@ -282,6 +290,7 @@ class HoldMonitor(Sink):
             unsure = (early or slow) and not self._on_wall and not self.tilt.known
             if unsure or (early and any(trail.fills(hold.t_ns) for trail in trails.values())):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
+            self._show(doubt, self._rest_s(hold, trails[JOINTS], known=JOINTS in seen))
             if not hold.wanted and not unsure:
                 why = f"torque was {'switched off' if hold.released else 'never switched on'}"
                 return self._verdict("NOT HELD", why, seen, wanted=hold.released and not self._let_go)
@@ -293,6 +302,14 @@ class HoldMonitor(Sink):
             calm = self._press.waits and JOINTS in seen and not hold.trouble
             pause_ns = _SELDOM_NS if calm else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
+
+    def _rest_s(self, hold: ServoHold, joints: Trail, *, known: bool) -> float | None:
+        """Time for which the joints have not moved, s; None where they move, or are not seen."""
+        if not known or joints.moves():
+            self._resting_ns = None
+        elif self._resting_ns is None:
+            self._resting_ns = hold.t_ns - joints.window_ns
+        return None if self._resting_ns is None else (hold.t_ns - self._resting_ns) / NS_PER_S
 
     def _lost_ns(self) -> int:
         """Time that this computer has lost since the last call, ns."""

@@ -82,6 +82,15 @@ function bar(progress) {
   return [make("p", {}, `${progress.what}${counted}${left}`), ...strip];
 }
 
+// Figures count as those of now while the loop tells new ones.
+const OLD_S = 1.5;
+const current = (job) => Boolean(job && job.running && job.live && !job.watched && (job.live_age_s ?? 0) < OLD_S);
+
+function age(job) {
+  if (!job || !job.running || !job.live || current(job)) return "";
+  return `These figures are ${(job.live_age_s ?? 0).toFixed(0)} s old.`;
+}
+
 const questionOf = (job) => (job && job.question !== null && job.running ? `${job.name} ${job.question_id}` : "");
 
 function asking(job) {
@@ -143,7 +152,7 @@ function settle(question) {
 
 function show(jobs) {
   const job = jobs[0];
-  const key = JSON.stringify(job ? { ...job, live: null, events: null } : null);
+  const key = JSON.stringify(job ? { ...job, live: null, live_age_s: null, watched: null, events: null } : null);
   if (key !== shown) {
     shown = key;
     const parts = !job ? [make("p", {}, IDLE)] : job.running ? running(job) : ended(job);
@@ -162,8 +171,13 @@ function show(jobs) {
   const start = at("start");
   if (start) start.disabled = Boolean(job && job.running);
   at("examine").disabled = offer === null || Boolean(job && job.running);
+  const watched = job && job.running && job.watched;
+  at("watched").textContent = watched ? job.watched.words : "";
+  at("watched").className = watched && job.watched.why ? "wrong" : "";
   at("live").hidden = !(job && job.live);
-  at("live-title").textContent = job && job.running ? "Live" : "Last figures before the stop";
+  at("live").classList.toggle("old", !current(job));
+  at("live-age").textContent = age(job);
+  at("live-title").textContent = job && job.running && !watched ? "Live" : "Last figures before the stop";
   if (job && job.live) live(job);
   const events = job ? job.events : [];
   at("seen").hidden = !events.length;
@@ -188,9 +202,10 @@ function live(job) {
   const now = job.live;
   if (shownJob !== job.name) begun(job);
   if (now.adhesion_n !== null) force = [now.adhesion_n, now.adhesion_needed_n];
+  const placed = now.pose.some((value) => value !== null); // by one wheel that turns alone no pose is known
   const figures = [
-    ["x (up a wall)", known(now.pose[0], mm)], ["y (across it)", known(now.pose[1], mm)],
-    ["heading", known(now.pose[2], degrees)], ["speed", known(now.twist[0], (x) => `${(1e3 * Math.hypot(x, now.twist[1])).toFixed(0)} mm/s`)],
+    ...(placed ? [["x (up a wall)", known(now.pose[0], mm)], ["y (across it)", known(now.pose[1], mm)], ["heading", known(now.pose[2], degrees)]] : []),
+    ...(placed && current(job) ? [["speed", known(now.twist[0], (x) => `${(1e3 * Math.hypot(x, now.twist[1])).toFixed(0)} mm/s`)]] : []),
     ["bench time", `${now.t_s.toFixed(1)} s`], ["pressed on", force ? `${force[0].toFixed(0)} N (${known(force[1], (n) => n.toFixed(0))} needed)` : "–"],
   ];
   at("figures").replaceChildren(...figures.map(([name, value]) => make("div", {}, make("span", { class: "soft" }, name), make("b", {}, value))));
@@ -198,6 +213,8 @@ function live(job) {
     name, known(now.wheel_rad_s && now.wheel_rad_s[i], (w) => `${w.toFixed(2)} rad/s`), known(now.steering_rad && now.steering_rad[i], degrees)]);
   at("wheels").replaceChildren(...table(["wheel", "turns", "steered"], wheels));
   plot(now);
+  at("map").classList.toggle("unknown", !placed);
+  at("wheel-list").open ||= !placed;
   map(now);
 }
 

@@ -37,7 +37,7 @@ document.addEventListener("visibilitychange", letGo);
 
 function holders(job) {
   const box = at("hold");
-  const moves = Boolean(job && job.running && !job.stopping && !job.finishing && job.live && job.command.startsWith("hil jog"));
+  const moves = Boolean(job && job.running && !job.stopping && !job.finishing && current(job) && job.command.startsWith("hil jog"));
   if (!moves) letGo();
   box.hidden = !moves;
   if (!moves || box.dataset.job === job.name) return;

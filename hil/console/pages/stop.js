@@ -21,6 +21,8 @@ async function call(path, options) {
 
 function words(job) {
   if (!job.running) return job.words;
+  if (job.watched?.why) return `${job.title}: the loop has stopped, and the robot is being watched`;
+  if (job.watched) return `${job.title}: ${job.stopping ? "stopping …; " : ""}${job.watched.words}`;
   if (job.stopping) return `${job.title}: stopping …`;
   return job.question ? `${job.title} asks: ${job.question}` : `${job.title} runs`;
 }
@@ -45,7 +47,8 @@ function show(state) {
   const now = state.jobs.length ? state.jobs.map(words).join(" · ") : "Nothing is running.";
   if (at("now").textContent !== now) at("now").textContent = now;
   notHeld = state.not_held;
-  const alarm = notHeld.map((left) => left.words).join(" ");
+  const stopped = state.jobs.filter((job) => job.running && job.watched && job.watched.why);
+  const alarm = [...stopped.map((job) => `${job.title}: ${job.watched.why}${job.watched.doubt && `; not held yet: ${job.watched.doubt}`}`), ...notHeld.map((left) => left.words)].join(" ");
   if (at("alarm").textContent !== alarm) at("alarm").textContent = alarm;
   const jobs = notHeld.map((left) => left.job).join(" ");
   if (jobs !== leftBy) [leftBy, leftSince] = [jobs, Date.now()];

@@ -15,7 +15,7 @@ from hil.loop.cycle_data import Check, Cycle
 _OK = Status.OK
 _WINDOW_NS = 1_000_000_000
 _NEVER_NS = 1 << 62
-_HOST_SHARE = 0.85
+HOST_SHARE = 0.85
 """Required share of a healthy sensor's samples: a busy host loses some by itself."""
 _PUNCTUAL = 0.97
 _LOST_NS = nanoseconds(0.03)
@@ -103,7 +103,7 @@ class SensorRate(Check):
     def _conclude(self, stream: _Stream, t_ns: int, events: list[Event]) -> None:
         """Evaluate a window at its end."""
         name, healthy = stream.name, stream.healthy
-        sparse = stream.good < _HOST_SHARE * healthy.delivered * stream.most
+        sparse = stream.good < HOST_SHARE * healthy.delivered * stream.most
         late = stream.good > 0 and stream.youngest_ns > nanoseconds(healthy.age_s)
         if sparse and not stream.sparse and stream.good:
             said = f"sends {stream.good} good samples a second instead of {stream.most:.0f}"
