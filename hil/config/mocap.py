@@ -7,9 +7,15 @@ from pydantic import Field, field_validator
 
 from hil.config.device import DeviceConfig
 from hil.config.field_types import Delay, Freshness, NetworkPort, Patience, PosesAgain, Within
-from hil.config.parameter import Parameter, instead
+from hil.config.parameter import Parameter, instead, turned
 
 Body = Annotated[str | int, Within(0, 2**31 - 1, "a streaming id of Motive")]
+_OTHER_AXES = tuple(
+    (f"{what}_rotation_wxyz", turned(axis, by_deg)((1.0, 0.0, 0.0, 0.0)))
+    for what in ("plane", "body")
+    for axis, by_deg in (("z", 10.0), ("z", -20.0), ("z", 180.0), ("x", 10.0), ("y", 90.0))
+)
+"""A plane calibrated, or a rigid body defined, with other axes than wall and robot have."""
 
 
 class MocapConfig(DeviceConfig):
@@ -38,7 +44,10 @@ class MocapConfig(DeviceConfig):
     """
 
     CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ("command_port", "data_port")
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (Parameter("up_axis", (instead("z"),), ("servos",)),)
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("up_axis", (instead("z"),), ("servos",)),
+        Parameter("body", (), ("imu", "tracker", "servos"), _OTHER_AXES),
+    )
 
     model: Literal["natnet"] = "natnet"
     server: str = "127.0.0.1"

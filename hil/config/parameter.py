@@ -22,11 +22,14 @@ class Parameter:
         key: key in its table.
         wrong: mistakes: each makes a wrong value of a true one.
         by: kinds of devices of which one shows it, at rest or in the first motion.
+        unlike: mistakes that are no value of the key: options of the emulated device, with a value that
+            differs from what the key takes for granted.
     """
 
     key: str
     wrong: tuple[Mistake, ...] = ()
     by: tuple[str, ...] = ()
+    unlike: tuple[tuple[str, Any], ...] = ()
 
 
 def times(factor: float) -> Mistake:

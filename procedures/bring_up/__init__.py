@@ -467,6 +467,8 @@ def move_body(ctx: Context, bench: Bench) -> dict[str, float]:
             response = float(integrated(data.t_s, data[0])[-1]) / true
             ctx.measure("imu.gyro_response", response)
             note_explanation(ctx, "imu", response, axis)
+        if axis == 0 and p.body == "mocap":  # up a wall a robot does not sag to its side
+            off["mocap.body"] = math.atan2(_went(motion, "mocap", 1), true)
         if axis == 2:
             _compare_axes(ctx, bench, motion, true)
         rows.append(row)

@@ -48,6 +48,35 @@ def test_a_mount_that_two_others_contradict_is_named_with_the_right_one(device, 
         assert np.linalg.norm(off) < 0.02
 
 
+@pytest.mark.parametrize("up_axis", ["y", "z"])
+@pytest.mark.parametrize(
+    ("option", "axis", "degrees"),
+    [
+        ("plane_rotation_wxyz", "z", 12.0),
+        ("body_rotation_wxyz", "z", -12.0),
+        ("plane_rotation_wxyz", "x", 12.0),
+        ("body_rotation_wxyz", "y", 12.0),
+    ],
+)
+def test_a_plane_or_a_rigid_body_with_other_axes_is_named(option, axis, degrees, up_axis):
+    overrides = {"mocap.up_axis": up_axis, f"emulation.mocap.{option}": turned(axis, degrees)(ONE)}
+    rows, _ = examined(overrides)
+    assert rows["mocap.body"].state == "contradicted"
+    assert abs(rows["mocap.body"].difference) == pytest.approx(math.radians(abs(degrees)), abs=0.02)
+    assert rows["imu.mount_rotation_wxyz"].state != "contradicted"
+    assert rows["mocap.up_axis"].state == ("unconfirmed" if axis == "z" else "contradicted")
+
+
+def test_gravity_shows_a_mount_but_for_a_turn_about_the_vertical():
+    rows, _ = examined({})
+    for device in ("imu", "tracker"):
+        row = rows[f"{device}.mount_rotation_wxyz"]
+        assert row.state == "unconfirmed"
+        assert "a turn about the vertical" in row.by
+        assert abs(row.difference) < 0.03
+    assert rows["environment.tilt_rad"].state == rows["mocap.body"].state == "confirmed"
+
+
 def test_with_two_sources_either_may_be_wrong():
     turned_by = wrong("imu.mount_rotation_wxyz", turned("z", 30.0)(ONE), ONE)
     rows, _ = examined({**turned_by, "tracker": None})

@@ -4,10 +4,13 @@ import json
 
 import pytest
 
+from hil.bench.true_values import true_bench
 from hil.cli import main
-from hil.fault_matrix.wrong_values.cases import cases_of
+from hil.config.loading import load_bench
+from hil.config.parameter import parameters_of
+from hil.fault_matrix.wrong_values.cases import BENCHES, cases_of, right, tables_of
 from hil.fault_matrix.wrong_values.judge import judge
-from hil.fault_matrix.wrong_values.observed import Observed, Told, Truth
+from hil.fault_matrix.wrong_values.observed import Observed, Told, Truth, without_mistake
 
 
 def test_there_are_many_cases_and_each_differs_from_what_is_true():
@@ -16,6 +19,30 @@ def test_there_are_many_cases_and_each_differs_from_what_is_true():
     assert len(set(cases)) == len(cases)
     assert all(case.said != case.true for case in cases)
     assert len({case.key for case in cases_of(plants=("own",), seeds=(0,), quick=True)}) >= 20
+
+
+def test_every_parameter_of_a_device_has_a_true_value_that_may_differ_from_the_file():
+    """The world is built with the true value: it can be the file's own, too, without any change."""
+    for bench in BENCHES:
+        overrides = right(bench, "own")
+        config = load_bench("emulated", overrides=overrides)
+        for key, value, _ in parameters_of(tables_of(config)):
+            if not key.startswith("alignment."):  # the wheels' true signs are 1, their true zeros are drawn
+                truth = {**overrides, f"emulation.{key}": value}
+                table, _, name = key.partition(".")
+                found = true_bench(load_bench("emulated", overrides=truth))
+                assert getattr(getattr(found, table), name) == value, key
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("seed", "plant", "noise"), [(41, "own", 3.0), (42, "mujoco", 3.0), (43, "own", 0.3)]
+)
+def test_a_right_bench_is_contradicted_by_no_stage(seed, plant, noise):
+    found = without_mistake("", plant, seed, noise)
+    assert found.contradicted == {}
+    assert not found.doctor.refused, found.doctor.texts
+    assert not found.climb.refused, found.climb.texts
 
 
 def test_one_key_is_run_and_judged(tmp_path, capsys):

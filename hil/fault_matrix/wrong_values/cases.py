@@ -40,6 +40,7 @@ class WrongValue:
         bench: key of `BENCHES`.
         plant: physics model.
         seed: seed of the emulated world.
+        option: option of the emulated device that is true in the place of the key; empty for the key itself.
     """
 
     key: str
@@ -48,12 +49,18 @@ class WrongValue:
     bench: str
     plant: str
     seed: int
+    option: str = ""
 
     @property
     def name(self) -> str:
         """Name of the case in progress reports and failures."""
         where = ", ".join(filter(None, (self.plant, self.bench)))
-        return f"{self.key} = {shown(self.said)} / {shown(self.true)} ({where}, seed {self.seed})"
+        return f"{self.key} = {shown(self.said)} / {self.truly} ({where}, seed {self.seed})"
+
+    @property
+    def truly(self) -> str:
+        """The true value in words, with the option that has it."""
+        return f"{self.option} {shown(self.true)}".strip()
 
     def overrides(self) -> dict[str, Any]:
         """Dotted key -> value of the bench file with the wrong value, and hardware with the true one."""
@@ -62,6 +69,8 @@ class WrongValue:
     def _truth(self) -> dict[str, Any]:
         if self.key.partition(".")[0] == "alignment":  # wheels have no other true signs and zeros
             return {}
+        if self.option:
+            return {f"emulation.{self.key.partition('.')[0]}.{self.option}": self.true}
         return {f"emulation.{self.key}": self.true}
 
 
@@ -110,6 +119,8 @@ def _cases(plant: str, seed: int, quick: bool) -> Iterator[WrongValue]:
                 for mistake in parameter.wrong[:1] if quick else parameter.wrong:
                     if (said := mistake(true)) != true:
                         yield WrongValue(key, said, true, bench, plant, seed)
+                for option, truth in parameter.unlike[:1] if quick else parameter.unlike:
+                    yield WrongValue(key, true, truth, bench, plant, seed, option)
 
 
 def shown(value: Any) -> str:

@@ -21,7 +21,7 @@ def summary(verdicts: Sequence[Verdict], table: Path) -> dict[str, Any]:
         "cases": len(verdicts),
         **{name: counts[name] for name in ("right", "misnamed", "harmless", "unconfirmed")},
         "silent": [
-            {"key": v.case.key, "file": v.case.said, "true": v.case.true, "what": v.what}
+            {"key": v.case.key, "file": v.case.said, "true": v.case.truly, "what": v.what}
             for v in verdicts
             if v.outcome == "silent"
         ],
@@ -67,7 +67,7 @@ def write_pages(verdicts: Sequence[Verdict], path: Path) -> None:
         where = ", ".join(filter(None, (v.case.plant, v.case.bench)))
         what = " ".join(v.what.replace("|", "\\|").split())
         rows.append(
-            f"| `{v.case.key}` | {shown(v.case.said)} | {shown(v.case.true)} | {where} | {v.outcome} "
+            f"| `{v.case.key}` | {shown(v.case.said)} | {v.case.truly} | {where} | {v.outcome} "
             f"| {', '.join(v.named_by)} | {what[:_LONGEST]}{'...' * (len(what) > _LONGEST)} |"
         )
     write_text(path, head + "\n".join(rows) + "\n")

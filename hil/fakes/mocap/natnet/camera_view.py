@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hil.core.geometry import Array, Four, Three
+from hil.core.geometry import Array, Four, Three, conjugated, multiplied, rotated
 from hil.fakes.body_interface import BodyMotion
 from hil.fakes.mocap.natnet.true_parameters import MocapTruthOptions
 from hil.fakes.smooth_noise import SmoothNoise
@@ -24,6 +24,7 @@ MARKERS = ((0.10, 0.08, 0.02), (-0.12, 0.09, 0.02), (-0.10, -0.09, 0.03), (0.13,
 Markers = tuple[Three, Three, Three, Three]
 _BLOCK = 512
 _RARE_GAP = 0.02
+_STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 _MOVES_M_S, _MOVES_RAD_S = 0.002, 0.01
 _DISTRACTOR = (1.2, -0.7, 0.4)
 
@@ -126,6 +127,12 @@ class CaptureVolume:
             options.marker_error_m,
             up_axis == "y",
         )
+        axes = options.plane_rotation_wxyz, options.body_rotation_wxyz
+        self._axes: tuple[Four, Four] | None = None
+        if any(turn != _STRAIGHT for turn in axes):
+            (pw, px, py, pz), (bw, bx, by, bz) = axes
+            y_up = up_axis == "y"
+            self._axes = (pw, *streamed(px, py, pz, y_up)), (bw, *streamed(bx, by, bz, y_up))
         self._draws, self._row = np.zeros((1, DRAWS)), 0
         compile_for(seen_at, (0.0, 0.0, 0.0), plain(Capture()), self._draws, 0)
         name = "distractor" + "2" * (self._body == "distractor")
@@ -187,5 +194,23 @@ class CaptureVolume:
 
     def _body_at(self, name: str, identifier: int, place: Three, draws: Array, row: int) -> SeenBody:
         """Return a body at a pose in the wall frame, with a row of noise."""
-        seen = seen_at(place, plain(self._by), draws, row)
-        return SeenBody(name, identifier, *seen, True)
+        seen = SeenBody(name, identifier, *seen_at(place, plain(self._by), draws, row), True)
+        return seen if self._axes is None else in_axes(seen, *self._axes)
+
+
+def in_axes(body: SeenBody, plane_wxyz: Four, body_wxyz: Four) -> SeenBody:
+    """A body in the axes of another plane, and with other axes of its own.
+
+    Args:
+        body: the body in streamed axes.
+        plane_wxyz: axes of the plane.
+        body_wxyz: axes of the rigid body in the body.
+    """
+    back = conjugated(plane_wxyz)
+    x, y, z, w = body.rotation_xyzw
+    w, x, y, z = multiplied(multiplied(back, (w, x, y, z)), body_wxyz)
+    return body._replace(
+        position_m=rotated(back, body.position_m),
+        rotation_xyzw=(x, y, z, w),
+        markers_m=tuple(rotated(back, marker) for marker in body.markers_m),
+    )

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from hil.config.field_types import Within
+from hil.config.field_types import UnitQuaternion, Within
 
 
 @dataclass(frozen=True)
@@ -15,6 +15,10 @@ class MocapTruthOptions:
         position_noise_m, angle_noise_rad: white noise per axis: 10 um and 0.04 mrad at rest.
         marker_error_m: mean marker error that Motive reports.
         height_m: the body's pivot above the surface.
+        plane_rotation_wxyz: axes of the calibrated plane in the wall frame: (1, 0, 0, 0) where x points up
+            the wall and z out of it.
+        body_rotation_wxyz: axes of the rigid body in the robot: (1, 0, 0, 0) where it was defined with the
+            robot's own.
         gaps_per_s: losses of one or several frames; 50 to 152 per run of 80 s were recorded.
         single_gap_share: part of the gaps that lose one frame.
         common_gap_s, longest_gap_s: the other gaps last up to this, one in fifty up to the longest.
@@ -39,6 +43,8 @@ class MocapTruthOptions:
     angle_noise_rad: float = 40e-6
     marker_error_m: float = 0.0002
     height_m: float = 0.08
+    plane_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
+    body_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
     gaps_per_s: float = 1.3
     single_gap_share: float = 0.5
     common_gap_s: float = 0.08
