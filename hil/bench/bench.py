@@ -17,11 +17,12 @@ from hil.bench.hold.held_devices import HeldDevices
 from hil.bench.injection import Injection
 from hil.bench.loop_settings import real_time
 from hil.bench.pipelines import BenchModel
+from hil.bench.unreached_faults import acting
 from hil.config.estimator import MocapNoise
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock, nanoseconds
 from hil.core.cross_check import CrossCheck
-from hil.core.errors import ConfigError, DeviceError, HilError, check_number
+from hil.core.errors import ConfigError, DeviceError, HilError, SafetyStop, check_number
 from hil.core.geometry import Array, ArrayLike
 from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
 from hil.core.registry import kinds
@@ -29,6 +30,7 @@ from hil.core.signals import KINDS, CycleRecord, Event, RobotState
 from hil.fakes.body_interface import PlantState
 from hil.fakes.world import World
 from hil.faults.fault import Fault
+from hil.loop.checks.loop_pause import HELD_UP
 from hil.loop.control_loop import ControlLoop
 from hil.loop.device_set import DeviceSet
 from hil.loop.driven_motion import Motion
@@ -336,6 +338,11 @@ class Bench(HeldDevices):
                 loop.idle = self.real_time.idle
             try:
                 loop.run(until)
+            except SafetyStop as stop:
+                injected = ", ".join(map(str, acting(self.faults, self.world_ns)))
+                if stop.reason != HELD_UP or not injected:
+                    raise
+                raise stop.after(f"this run injects {injected}") from stop
             finally:
                 self.parameters.lifted(pipeline.supervisor.checks.weight)
                 self.parameters.moved(self.seen.contradicting)

@@ -20,6 +20,15 @@ def not_begun(faults: Iterable[Fault], world_ns: int) -> tuple[Fault, ...]:
     return tuple(fault for fault in faults if fault.start_ns > world_ns)
 
 
+def acting(faults: Iterable[Fault], world_ns: int) -> tuple[Fault, ...]:
+    """Faults that act at a world time, or have ended within the second before it."""
+    return tuple(
+        fault
+        for fault in faults
+        if fault.start_ns <= world_ns and (fault.end_ns is None or world_ns < fault.end_ns + NS_PER_S)
+    )
+
+
 def not_begun_in_words(faults: Sequence[Fault], world_ns: int, looked_ns: int) -> str:
     """One line for the user about faults that did not begin in time.
 

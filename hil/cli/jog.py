@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from hil.live.held_keys import Keys
 
 _WAYS = {
-    "body": "w s ahead and back, a d to the left and right, q e turn",
-    "joint": "w a forward (counter-clockwise), s d back",
+    "body": "w or s ahead or back, a or d to the left or right, q or e turn",
+    "wheel": "w or a forward, s or d back",
+    "steer": "w or a counter-clockwise, s or d clockwise",
 }
 
 
@@ -83,7 +84,8 @@ def command(
     if (wheel is not None) + (steer is not None) + body != 1:
         raise UsageError("hil jog moves one thing", expected="one of --wheel NAME, --steer NAME and --body")
     source = real_time_source(request)
-    stop, folder = StopRequest(), SessionFolder(out, "jog")
+    moves = "body" if body else f"wheel {wheel}" if wheel is not None else f"steer {steer}"
+    stop, folder = StopRequest(), SessionFolder(out, "jog", moves)
     with stop.noted(), _operator(gamepad) as make_keys, closing(open_aloud(source)) as opened:
         keys = make_keys(opened.clock.now_ns)
         if body:
@@ -97,7 +99,7 @@ def command(
             plan = _of_joint(opened, keys, f"steer_{steer}", turn_rad_s)
         recorder = open_recorder(opened, folder.recording, "stop")
         session = LiveSession(opened, plan, recorder=recorder, stop=stop)
-        click.echo(f"hold a key: {_WAYS['body' if body else 'joint']}; x ends", err=True)
+        click.echo(f"hold a key: {_WAYS[moves.partition(' ')[0]]}; x ends", err=True)
         drive(session, folder, None, as_json=as_json)
         must_be_held(opened, recorder, stop)
         if keys.ended in LOST:

@@ -30,18 +30,20 @@ class SessionFolder:
     Args:
         folder: folder that was named; None for a new one in `out/live`.
         command: name of the command that runs the session.
+        moves: what it moves, for `hil jog`; else empty.
 
     Raises:
         DataError: a named folder already holds a session, or cannot be written.
     """
 
-    def __init__(self, folder: Path | None, command: str) -> None:
+    def __init__(self, folder: Path | None, command: str, moves: str = "") -> None:
         began = datetime.now().astimezone()
         self.folder = folder or Path("out", "live", f"{began:%Y%m%d-%H%M%S-%f}"[:-3])
         if folder is not None:
             check_new_file(folder / SESSION, "--out")
             check_new_file(folder / LIVE_RECORDING, "--out")
-        self._reported: dict[str, Any] = {"command": command, "began": began.isoformat(timespec="seconds")}
+        when = began.isoformat(timespec="seconds")
+        self._reported: dict[str, Any] = {"command": command, "moves": moves, "began": when}
 
     @property
     def recording(self) -> Path:
@@ -53,6 +55,7 @@ class SessionFolder:
         emulated = bench.config.emulated()
         real = [name for name in bench.config.devices() if name not in emulated]
         self._reported |= {"bench": bench.config.name, "emulated": list(emulated), "real": real}
+        self._reported["faults"] = list(map(str, bench.faults))
         self._write()
 
     def end(self, summary: Mapping[str, Any]) -> None:

@@ -33,6 +33,7 @@ from typing import Any
 
 from hil.console.json_files import read
 from hil.core.event_rows import event_lines
+from hil.core.result_names import end_of_session
 
 COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
 STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
@@ -40,8 +41,6 @@ NO_RESULT, BY_STOP = "ENDED", "STOPPED"
 """Verdicts of a job that left no result, and of one that STOP has ended."""
 _HOLDS = {"progress": dict, "live": dict, "watched": dict, "held": dict, "question": str, "answered": str}
 """Keys of a JSON line on standard error, with the type of the value."""
-_BY_ITSELF = ("duration", "trajectory")
-"""Reasons for which a live loop ends without being stopped."""
 LIVE = b'{"live": '
 """Begin of a line on standard error with figures of the loop."""
 _TAIL_BYTES = 1 << 19
@@ -375,8 +374,8 @@ def _judged(result: Mapping[str, Any]) -> str:
     """Verdict for a result without one: of doctor, or of the live loop, from the reason of its end."""
     if "ok" in result:
         return "PASS" if result["ok"] else "FAIL"
-    ended = str(result.get("ended", _BY_ITSELF[0]))
-    return "DONE" if ended in _BY_ITSELF else "ABORTED" if ended.startswith("SIG") else "ERROR"
+    end = end_of_session(str(result.get("ended", "duration")), "")
+    return "ABORTED" if end == "ENDED" else end
 
 
 def _tail(path: Path) -> list[tuple[int, str]]:

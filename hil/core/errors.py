@@ -196,7 +196,12 @@ class SafetyStop(HilError, RuntimeError):
     def __init__(self, reason: str, message: str, suspects: Iterable[str] = ()) -> None:
         self.reason = reason
         self.suspects = tuple(dict.fromkeys((*suspects, *suspects_of(reason))))
+        self._why = message
         super().__init__(f"robot stopped ({reason}): {message}")
+
+    def after(self, first: str) -> "SafetyStop":
+        """The same stop with a text before its message."""
+        return SafetyStop(self.reason, f"{first}; {self._why}", self.suspects)
 
 
 class Aborted(HilError, RuntimeError):

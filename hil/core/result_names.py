@@ -39,3 +39,20 @@ PASSED = ("PASS", "MARGINAL")
 
 LOST = "LOST"
 """Word in place of a verdict: a run of a campaign without a result, which says nothing about the robot."""
+
+
+_BY_ITSELF, _ASKED = ("duration", "trajectory"), ("SIG", "key ", "button ")
+
+
+def end_of_session(ended: str, held: str) -> str:
+    """Verdict of a live session in a word: `DONE`, `ENDED` by a signal, `ERROR`, or `NOT HELD`.
+
+    Args:
+        ended: reason of its end.
+        held: state in which it left the robot.
+    """
+    if held == "NOT HELD":
+        return held
+    if ended in _BY_ITSELF or ended.startswith(_ASKED[1:]):
+        return "DONE"
+    return "ENDED" if ended.startswith(_ASKED) else "ERROR"

@@ -34,7 +34,7 @@ from hil.core.signals import (
     WheelSetpoint,
 )
 from hil.loop.checks.adhesion import presses_harder
-from hil.loop.checks.loop_pause import HELD_UP_NS, stood_still
+from hil.loop.checks.loop_pause import HELD_UP, HELD_UP_NS, stood_still
 from hil.loop.device_set import DeviceSet
 from hil.loop.pipeline import OUTSIDE, ControlPipeline
 from hil.loop.timing import Laps, LoopStatistics
@@ -155,11 +155,14 @@ class ControlLoop:
             return self.devices.read(self._cycle)
         except DeviceTimeoutError as error:
             gap_ns = 0 if before_ns is None else start_ns - before_ns
-            why = f"{stood_still(gap_ns)}; then" if gap_ns > HELD_UP_NS else ""
-            why = why or self.pipeline.supervisor.excuse(error.device)
-            if not why:
+            late = self.pipeline.supervisor.excuse(error.device)
+            if gap_ns > HELD_UP_NS:
+                why = f"{stood_still(gap_ns)}; then {error}"
+            elif late:
+                why = f"{error}. Meanwhile {late}"
+            else:
                 raise
-            stop = SafetyStop("held_up", f"{why} {error}")
+            stop = SafetyStop(HELD_UP, why)
             self._stopped(Inputs(self._cycle, start_ns), stop, source=OUTSIDE)
             raise stop from error
 

@@ -207,6 +207,7 @@ HELD = {"state": "HELD", "moved_m": 0.0, "why": "at rest"}
         ({"verdict": "ABORTED", "error": {"message": "."}, "held": HELD}, "", "ABORTED", "x: HELD: at rest"),
         ({"ended": "SIGINT", "held": HELD | {"state": "NOT HELD"}}, "", "ABORTED", "x: NOT HELD: at rest"),
         ({"ended": "duration", "held": HELD}, "", "DONE", "x: HELD: at rest"),
+        ({"ended": "key x", "held": HELD}, "", "DONE", "x: HELD: at rest"),
         ({"ended": "robot stopped (stale)", "held": HELD}, "", "ERROR", "x: HELD: at rest"),
         ({"ok": False, "findings": []}, "", "FAIL", "x: FAIL"),
         ({"error": {"message": "no port", "remedy": "plug it in", "exit_code": 3}}, "", "ERROR", "x: ERROR"),

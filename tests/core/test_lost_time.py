@@ -12,6 +12,7 @@ import pytest
 from supervised import Supervised
 from test_loop_and_server import Standing
 
+import hil
 from hil.bench.hold.hold_check import HoldCheckDeadline
 from hil.core.clock import Clock
 from hil.core.errors import DeviceTimeoutError, SafetyStop
@@ -118,6 +119,7 @@ def test_servos_are_silent_for_the_time_that_was_not_lost(checks, lost_ns, stops
         assert stop.reason == "held_up"
         assert "this computer was late by 0.1" in str(stop)
         assert "came in time from: servos" in str(stop)
+        assert str(stop).index("from: servos") < str(stop).index("this computer was late"), "the device first"
         assert "check" not in str(stop)
         assert str(stop).count("this computer was late") == 1
     elif stop is not None:
@@ -224,7 +226,7 @@ def test_a_slow_read_is_counted_without_what_was_lost_in_it():
 @pytest.mark.parametrize(
     ("taken_ns", "expected"),
     [
-        (20 * MS, pytest.raises(SafetyStop, match=r"this computer was late by .* nothing usable")),
+        (20 * MS, pytest.raises(SafetyStop, match=r"nothing usable.* Meanwhile this computer was late by")),
         (0, pytest.raises(DeviceTimeoutError, match="nothing usable")),
     ],
 )
@@ -249,3 +251,20 @@ def test_a_check_of_the_stopped_robot_waits_for_lost_time_but_not_for_ever():
     strict = HoldCheckDeadline(0, 1.0, strict=True)
     strict.on_lost(600 * MS)
     assert strict.is_up(1100 * MS)
+
+
+def test_a_fault_of_the_run_is_named_before_a_computer_that_is_late():
+    """The servos are switched off by a fault, and the computer is late, too."""
+    faults = ["servos:silent@2", "imu:stuck@0.3+0.1", "tracker:off@9"]
+    with hil.open_bench("emulated_floor", faults=faults) as bench:
+        bench.devices.lost = Taken(5 * MS, 0)
+        with pytest.raises(SafetyStop) as stop:
+            bench.observe(4.0, feedback="odometry")
+        assert stop.value.reason == "held_up"
+        said = str(stop.value)
+        assert said.startswith(
+            "robot stopped (held_up): this run injects servos:silent@2; nothing that can be"
+        )
+        assert said.index("from: servos") < said.index("this computer was late")
+        assert bench.stopped_by == said
+        assert stop.value.suspects == ()

@@ -331,6 +331,26 @@ SESSION["real"] = ["servos"]
         ({"began": 3}, "foreign", "session.json is of no live session"),
     ],
 )
+@pytest.mark.parametrize(
+    ("ended", "state", "verdict"),
+    [
+        ("key x", "HELD", "DONE"),
+        ("duration", "not needed", "DONE"),
+        ("SIGTERM", "HELD", "ENDED"),
+        ("SIGTERM", "NOT HELD", "NOT HELD"),
+        ("robot stopped (adhesion): no air", "HELD", "ERROR"),
+        ("gamepad lost", "HELD", "ERROR"),
+    ],
+)
+def test_a_session_is_listed_with_what_it_moved_its_faults_and_how_it_ended(tmp_path, ended, state, verdict):
+    more = {"command": "jog", "moves": "wheel FL", "faults": ["adhesion:off@16"]}
+    tree = SESSION | more | {"ended": ended, "held": {"state": state}}
+    (tmp_path / "session.json").write_text(json.dumps(tree))
+    (kept,) = find_results(tmp_path)
+    assert (kept.what, kept.verdict) == ("jog wheel FL", verdict)
+    assert kept.why.startswith("with adhesion:off@16; ended by: ")
+
+
 def test_a_live_session_is_listed_also_one_that_was_killed(tmp_path, change, kind, why):
     folder = tmp_path / "live" / "one"
     folder.mkdir(parents=True)

@@ -2,7 +2,8 @@
 "use strict";
 const EVERY_MS = 50;
 const OF_BODY = { w: "ahead", s: "back", a: "to the left", d: "to the right", q: "turn left", e: "turn right" };
-const OF_JOINT = { w: "forward (counter-clockwise)", s: "back (clockwise)" };
+const OF_WHEEL = { w: "forward", s: "back" };
+const OF_AXIS = { w: "counter-clockwise", s: "clockwise" };
 let held = null;
 let sending = false;
 
@@ -42,7 +43,7 @@ function holders(job) {
   box.hidden = !moves;
   if (!moves || box.dataset.job === job.name) return;
   box.dataset.job = job.name;
-  const ways = job.command.includes("--body") ? OF_BODY : OF_JOINT;
+  const ways = job.command.includes("--body") ? OF_BODY : job.command.includes("--wheel") ? OF_WHEEL : OF_AXIS;
   box.replaceChildren(make("p", { class: "soft" }, "The robot moves while a button is held down."), ...Object.entries(ways).map(([key, way]) => {
     const button = make("button", { type: "button", "data-key": key }, way);
     button.addEventListener("pointerdown", (event) => press(event, job.name, key));

@@ -14,7 +14,8 @@ from hil.core.signals import Event, Inputs
 from hil.loop.cycle_data import SILENT, Check, Cycle
 from hil.support.lost_time import LOOP
 
-HELD_UP_NS = 500_000_000
+HELD_UP, HELD_UP_NS = "held_up", 500_000_000
+"""Reason of a stop because the loop, or what serves emulated devices, was late; longest healthy pause, ns."""
 _HOLDS_UP_NS = 20_000_000
 """Time of one device's read that is reported."""
 _PAUSE_NS, _PAUSE_CYCLES, _FRESH_NS = 60_000_000, 3, 1_000_000_000
@@ -99,7 +100,7 @@ class LoopPause(Check):
         gap_ns = t_ns - before_ns
         if gap_ns > HELD_UP_NS:
             self._lasted_ns = 0  # has its own reason
-            stop("held_up", stood_still(gap_ns))
+            stop(HELD_UP, stood_still(gap_ns))
         elif self._cycle_ns and gap_ns > _PAUSE_NS and gap_ns > _PAUSE_CYCLES * self._cycle_ns:
             self._ended_ns, self._lasted_ns = t_ns, gap_ns
         if gap_ns < self._cycle_ns or not self._cycle_ns:
@@ -118,10 +119,13 @@ class LoopPause(Check):
     def excuse(self, device: str) -> str:
         """Text: by how much this computer was late, where a silent device is emulated; else empty."""
         late = self._late_ns > _LATE_NS and device in self._emulated
-        return f"{self._late_in_words()}. Meanwhile:" if late else ""
+        return self._late_in_words() if late else ""
 
     def excused(self, stops: Mapping[str, str]) -> dict[str, str]:
-        """Messages of stop conditions by reason; those of excused devices become `held_up`."""
+        """Messages of stop conditions by reason; those of excused devices become `held_up`.
+
+        The devices are named first: one that has failed is silent whether or not the computer is late.
+        """
         silent = {reason: reason.partition("_")[2] for reason in stops if reason.startswith(SILENT)}
         excused = {reason: name for reason, name in silent.items() if self.excuse(name)}
         late, names = next(map(self.excuse, excused.values()), ""), ", ".join(excused.values())
@@ -130,7 +134,8 @@ class LoopPause(Check):
             if reason not in excused:
                 found[reason] = said
             else:
-                found.setdefault("held_up", f"{late} nothing that can be used came in time from: {names}")
+                said = f"nothing that can be used came in time from: {names}. Meanwhile {late}"
+                found.setdefault(HELD_UP, said)
         return found
 
     def _late_in_words(self) -> str:

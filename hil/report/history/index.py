@@ -27,6 +27,7 @@ from hil.core.result_names import (
     RESULT,
     RESULT_SCHEMA,
     SESSION,
+    end_of_session,
 )
 from hil.report.result_reader import read_result
 from hil.support.file_reading import json_object, read_json
@@ -257,18 +258,21 @@ def _session(folder: Path, name: str) -> Kept:
     emulated, held = tree.get("emulated"), tree.get("held")
     devices = ", ".join(map(str, emulated)) if isinstance(emulated, list) else ""
     where = f"real time, emulated: {devices}" if tree.get("real") else "real time, emulated"
-    why = "it still runs, or was killed"
+    why, verdict, faults = "it still runs, or was killed", "", tree.get("faults")
     if isinstance(held, dict):
-        ended = str(tree.get("ended"))
-        why = f"ended by: {_SIGNALS.get(ended, ended)}; {held.get('state')}"
+        ended, state = str(tree.get("ended")), str(held.get("state"))
+        why, verdict = f"ended by: {_SIGNALS.get(ended, ended)}; {state}", end_of_session(ended, state)
+    if isinstance(faults, list) and faults:
+        why = f"with {', '.join(map(str, faults))}; {why}"
     return Kept(
         folder,
         name,
         LIVE,
-        command,
+        " ".join(filter(None, (command, str(tree.get("moves", ""))))),
         when,
         bench=str(tree.get("bench", "")),
         where=where if devices else "hardware",
+        verdict=verdict,
         why=why,
     )
 
