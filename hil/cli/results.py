@@ -196,7 +196,7 @@ def _key_rows(kept: Kept) -> list[str]:
 def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> int:
     """Print the page of RUN, and show it. RUN is a name from the list, a part of one, or `last`.
 
-    The page of a run is written if it is missing.
+    The page of a run or a live session is written if it is missing.
 
     Example: hil results open bring_up
     """

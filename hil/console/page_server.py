@@ -23,7 +23,7 @@ from hil.console.stop_server import asset
 from hil.console.web_server import NAMES, Refused, Reply, Request, Route, as_json
 from hil.core.errors import DataError, HilError, reason_of
 from hil.core.registry import kinds
-from hil.core.result_names import TRENDS
+from hil.core.result_names import SESSION, TRENDS
 from hil.report.history.index import find_results
 from hil.report.history.opening import PAGES as RESULT_PAGES
 from hil.report.history.opening import page_of
@@ -138,7 +138,7 @@ class PageProcess:
             state = jobs.state(job)
             if state["running"]:
                 return state
-            state["link"] = self._link(state)
+            state["link"] = self._link(job, state)
             self._ended[job.name] = state
         return self._ended[job.name]
 
@@ -146,16 +146,19 @@ class PageProcess:
         """What a page that was opened later has missed."""
         return as_json(past(self._named(request.query.get("job", "")), _PATH_POINTS, _PLOTTED))
 
-    def _link(self, state: Mapping[str, Any]) -> str | None:
-        """Address of the page that a job has left."""
-        page = state.get("report") or state.get("page")
+    def _link(self, job: jobs.Job, state: Mapping[str, Any]) -> str | None:
+        """Address of the page that a job has left; the page of a session is written when it is asked for."""
+        page, where = state.get("report") or state.get("page"), PAGES
+        if not page and "--out" in job.words:
+            folder = Path(job.words[job.words.index("--out") + 1])
+            page, where = (str(folder), RESULTS) if (folder / SESSION).is_file() else (None, PAGES)
         if not page:
             return None
         try:
             within = Path(page).resolve().relative_to(self._results.resolve())
         except (ValueError, OSError):
             return None
-        return f"{PAGES}{quote(within.as_posix())}"
+        return f"{where}{quote(within.as_posix())}"
 
     def _start(self, request: Request) -> Reply:
         action = self._actions.get(str(request.body.get("action")))

@@ -28,7 +28,7 @@ FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX = "faults.json", "faults.html", "reliab
 FAULTS_CELLS, FAULTS_CELLS_BEFORE = "cells.jsonl", "cells.before.jsonl"
 """Files of a fault campaign: table and pages, verdicts as they come, verdicts of the one before."""
 
-SESSION, LIVE_RECORDING = "session.json", "recording.mcap"
+SESSION, LIVE_RECORDING, SESSION_PAGE = "session.json", "recording.mcap", "session.html"
 """Files of a live session."""
 
 COMPARISON, TRENDS = "compare.html", "trends.html"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from hil.core.interfaces import Sink
-from hil.procedure.device_history import DeviceHistory
 from hil.procedure.fit_history import FitHistory
-from hil.procedure.holding_force_history import HoldHistory
-from hil.procedure.path_history import PathHistory
+from hil.report.device_history import DeviceHistory
+from hil.report.holding_force_history import HoldHistory
+from hil.report.path_history import PathHistory
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from hil.config.robot_record.overlay import known_parts
 from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DataError, RecordingError
 from hil.core.registry import kinds
-from hil.procedure import device_history, fit_history, holding_force_history, path_history
+from hil.procedure import fit_history
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.final_hold import HoldRecord
 from hil.procedure.histories import Histories
@@ -26,6 +26,7 @@ from hil.procedure.run_outputs import RunOutputs, slug
 from hil.procedure.run_sinks import RunRecorder, StepTimer
 from hil.procedure.worker_processes import Workers
 from hil.recording.mcap_writer import OnFailure
+from hil.report import device_history, holding_force_history, path_history
 
 if TYPE_CHECKING:
     from hil.bench import Bench

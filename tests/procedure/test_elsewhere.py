@@ -10,12 +10,12 @@ from hil.core.errors import Aborted, DataError, TrajectoryError
 from hil.faults.files import read_faults
 from hil.procedure import procedure
 from hil.procedure.bench_source import BenchSource
-from hil.procedure.figure_rows import DrivenRows
 from hil.procedure.measurements import Verdict
 from hil.procedure.parallel_benches import DriveJob, Sent, driven
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.tracking_errors import enable_hold
 from hil.recording.runs import read_runs
+from hil.report.figure_rows import DrivenRows
 from tests.patience import FANLESS
 from tests.procedure.in_turn import InTurn
 

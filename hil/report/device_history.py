@@ -15,7 +15,7 @@ from hil.core.kind_figures import KindFigures
 from hil.core.registry import kinds, sample_names
 from hil.core.signals import CycleRecord
 from hil.core.third_party_errors import OURS
-from hil.procedure.figure_rows import DrivenRows
+from hil.report.figure_rows import DrivenRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

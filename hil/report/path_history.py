@@ -11,7 +11,7 @@ from hil.core.clock import nanoseconds
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord
-from hil.procedure.figure_rows import DrivenRows
+from hil.report.figure_rows import DrivenRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

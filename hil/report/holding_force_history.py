@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hil.core.clock import nanoseconds
 from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord
-from hil.procedure.figure_rows import DrivenRows
+from hil.report.figure_rows import DrivenRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
