@@ -15,8 +15,8 @@ _CALLED = {"tracker": "the camera", "mocap": "motion capture"}
 _SAME = (0.6, 1.6)
 """Turn of good sensors over that of the gyro, in turns of milliradians."""
 _TURNS_RAD = 0.001
-LEVER_M = 0.05
-"""Difference of a place on the body from which jogs show it: slipping wheels alone give 0.035 m."""
+_LEVER_M = 0.08
+"""Difference of a place on the body from which jogs show it: slipping wheels alone give 0.055 m."""
 
 
 def wrong_turns(source: str, straight: DriveJogs, across: DriveJogs) -> str:
@@ -56,7 +56,7 @@ def wrong_place(source: str, straight: DriveJogs, across: DriveJogs) -> str:
     forwards_m = -float(straight.moved[:, 1] @ turns[0]) / max(_size(turns[0]) ** 2, 1e-12)
     left_m = float(across.moved[:, 0] @ turns[1]) / max(_size(turns[1]) ** 2, 1e-12)
     off_m = float(np.hypot(forwards_m, left_m))
-    found = explained_by_lever(source, off_m) if off_m > LEVER_M else None
+    found = explained_by_lever(source, off_m) if off_m > _LEVER_M else None
     if found is None:
         return ""
     return (

@@ -7,6 +7,7 @@ observed for longer than gaps of motion capture (at most 0.2 s, as emulated).
 
 import math
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
@@ -190,24 +191,24 @@ def find_signs(straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> Sign
     return Signs(first, first * second, first * second * turned)
 
 
-def exchanged_drives(straight: DriveJogs, across: DriveJogs) -> list[tuple[int, int]]:
-    """Return pairs of drives that each push in the direction expected of the other, and not in their own."""
-    return _exchanged(np.minimum(straight.agreements(), across.agreements()))
+def exchanged_drives(straight: DriveJogs, across: DriveJogs) -> dict[int, int]:
+    """Return the drives that each push in the direction expected of another: place -> place of that one."""
+    return _order(np.minimum(straight.agreements(), across.agreements()))
 
 
-def exchanged_axes(steer: SteerJogs) -> list[tuple[int, int]]:
-    """Return pairs of steering axes that each turn, by the encoders, when the other one is commanded."""
-    return _exchanged(np.nan_to_num(steer.encoder))
+def exchanged_axes(steer: SteerJogs) -> dict[int, int]:
+    """Return the encoders that each turn when another axis is commanded: place -> place of that axis."""
+    return _order(steer.encoder)
 
 
-def _exchanged(alike: Array) -> list[tuple[int, int]]:
-    """Return pairs that match each other better than themselves in a (4, 4) matrix, where 1 is a match."""
-    return [
-        (a, b)
-        for a in range(4)
-        for b in range(a + 1, 4)
-        if max(alike[a, a], alike[b, b], _LIKE - _LESS) + _LESS < min(alike[a, b], alike[b, a])
-    ]
+def _order(alike: Array) -> dict[int, int]:
+    """Return the places that clearly match another, in the best order of a (4, 4) matrix, 1 for a match."""
+    alike = np.nan_to_num(alike)
+    best = max(permutations(range(4)), key=lambda order: sum(alike[k, order[k]] for k in range(4)))
+    moved = {k: other for k, other in enumerate(best) if k != other}
+    own = max((alike[k, k] for k in moved), default=0.0)
+    clear = all(alike[k, other] > max(own, _LIKE - _LESS) + _LESS for k, other in moved.items())
+    return moved if clear else {}
 
 
 def _sign(cosine: Array) -> Array:

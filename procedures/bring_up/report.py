@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.config.encoders import EncodersConfig
 from hil.config.servos import ServosConfig
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
@@ -49,26 +50,31 @@ def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
 
 def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> set[str]:
     """Note which servos are probably exchanged, and how to correct it; return the names of their joints."""
-    servos, named = ctx.source.config.of(ServosConfig), set()
+    config, named = ctx.source.config, set[str]()
+    servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
     assert servos is not None
-    for what, pairs, ids, seen, beside in (
-        ("drive", exchanged_drives(straight, across), servos.drive_ids, "push", ""),
-        (
-            "steer",
-            exchanged_axes(steer),
-            servos.steer_ids,
-            "turn, by the encoders,",
-            ", or the two in encoders.signals, if the wheels turn as commanded",
-        ),
-    ):
-        for a, b in pairs:
-            named |= {WHEELS[a], WHEELS[b]}
-            ctx.note(
-                f"{what}_{WHEELS[a]} and {what}_{WHEELS[b]} {seen} where the other one should: probably they "
-                f"are exchanged. Exchange {ids[a]} and {ids[b]} in servos.{what}_ids{beside}; then run this "
-                "again."
-            )
+    if drives := exchanged_drives(straight, across):
+        named |= {WHEELS[k] for k in drives}
+        joints = ", ".join(f"drive_{WHEELS[k]}" for k in drives)
+        ids = _put(servos.drive_ids, {other: k for k, other in drives.items()})
+        ctx.note(
+            f"{joints} push where another one should: servos.drive_ids = {ids} fits; then run this again."
+        )
+    if axes := exchanged_axes(steer):
+        named |= {WHEELS[k] for k in axes}
+        joints = ", ".join(f"steer_{WHEELS[k]}" for k in axes)
+        signals = _put(() if encoders is None else encoders.signals, {other: k for k, other in axes.items()})
+        ctx.note(
+            f"{joints} turn, by the encoders, where another one should: servos.steer_ids = "
+            f"{_put(servos.steer_ids, axes)} fits; or, if the wheels turn as commanded, encoders.signals = "
+            f"{signals}; then run this again."
+        )
     return named
+
+
+def _put(values: Sequence[Any], places: Mapping[int, int]) -> list[Any]:
+    """Return a list in another order: the places from which its values come."""
+    return [values[places.get(k, k)] for k in range(len(values))]
 
 
 def note_other_values(ctx: Context, found: Mapping[str, Mapping[str, Any]]) -> None:

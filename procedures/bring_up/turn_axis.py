@@ -17,13 +17,13 @@ from hil.core.geometry import Array, conjugated, multiplied, rotated
 from hil.loop.checks.wrong_parameter import explained_by_lever
 from hil.loop.driven_motion import Motion
 from hil.procedure.sample_arrays import camera, inertial, integrated
-from hil.procedures.bring_up.body_sensor import LEVER_M
 
 _LEAST_RAD = 0.04
 """Turn from which its axis counts: the noise of a camera is then a twentieth."""
 _REST_S = 0.3
-_PLACE_M = 0.03
-"""Difference of a place up to which a turn confirms it: the noise of a camera is a third."""
+_PLACE_M, _FAR_M = 0.03, 0.05
+"""Differences of a place: up to the first a turn confirms it, beyond the other it contradicts it. A camera's
+noise is a third of the first."""
 _CALLED = {"imu": "the IMU", "tracker": "the camera"}
 
 
@@ -73,7 +73,7 @@ def place_checks(config: BenchConfig, lever_m: float) -> Iterator[CrossCheck]:
     key, value = "tracker.mount_position_m", mount.mount_position_m
     if lever_m <= _PLACE_M:
         yield CrossCheck(key, value, "confirmed", "small motions", value, lever_m)
-    elif found := explained_by_lever("tracker", lever_m) if lever_m > LEVER_M else None:
+    elif found := explained_by_lever("tracker", lever_m) if lever_m > _FAR_M else None:
         text = f"a turn moves the body by the camera: look at {key}, {found.text}"
         yield CrossCheck(key, value, "contradicted", "motion capture", math.nan, lever_m, text)
 

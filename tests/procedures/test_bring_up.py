@@ -16,6 +16,7 @@ from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.bring_up import Parameters, measurements
 from hil.procedures.bring_up.jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives, expected_push
 from hil.procedures.bring_up.streams import judge_stream
+from hil.support.file_reading import get_dotted
 
 SHORT = {"watch_s": 4.0}
 BRIEF = {"watch_s": 2.0}
@@ -167,20 +168,47 @@ def jogs(angle_rad, order, signs=(1, 1, 1, 1)):
     )
 
 
-@pytest.mark.parametrize(("a", "b"), [(0, 1), (1, 3)])
-def test_any_two_exchanged_drives_and_axes_are_named(a, b):
-    order = [b if k == a else a if k == b else k for k in range(4)]
-    assert exchanged_drives(jogs(0.0, order), jogs(np.pi / 2.0, order)) == [(a, b)]
-    turned = np.eye(4)[order]
-    assert exchanged_axes(SteerJogs(np.eye(4), turned)) == [(a, b)]
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
+def test_drives_and_axes_in_any_other_order_are_named(order):
+    moved = {k: other for k, other in enumerate(order) if k != other}
+    assert exchanged_drives(jogs(0.0, order), jogs(np.pi / 2.0, order)) == moved
+    assert exchanged_axes(SteerJogs(np.eye(4), np.eye(4)[list(order)])) == moved
+
+
+@pytest.mark.long
+def test_an_age_that_the_bench_file_makes_is_told_with_its_key(tmp_path):
+    wrong = {"tracker.latency_s": 0.15, "emulation.tracker.latency_s": 0.02}
+    done = run("bring_up", tmp_path / "run", BRIEF, overrides=wrong)
+    assert "tracker.age" in done.failed
+    notes = "".join(done.result.facts["notes"])
+    assert "tracker.latency_s" in notes
+    assert "mocap.body" not in notes, "slipping wheels are no other place of the markers"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("key", "order"),
+    [
+        ("servos.drive_ids", (1, 2, 0, 3)),
+        ("servos.steer_ids", (3, 0, 1, 2)),
+        ("encoders.signals", (1, 2, 3, 0)),
+    ],
+)
+def test_the_right_order_is_told(tmp_path, key, order):
+    true = get_dotted(load_bench("emulated").model_dump(), key)
+    said = [true[k] for k in order]
+    wrong = {key: said, f"emulation.{key}": list(true)}
+    done = run("bring_up", tmp_path / "run", BRIEF, overrides=wrong)
+    assert done.result.verdict.value == "FAIL"
+    assert f"{key} = {list(true)}" in "".join(done.result.facts["notes"])
 
 
 @pytest.mark.parametrize("signs", [(1, 1, 1, 1), (1, -1, 1, 1), (-1, 1, -1, 1)])
 def test_reversed_drives_are_not_taken_for_exchanged_ones(signs):
     rounds = [jogs(angle_rad, range(4), signs) for angle_rad in (0.0, np.pi / 2.0)]
-    assert exchanged_drives(*rounds) == []
-    assert exchanged_axes(SteerJogs(np.eye(4), np.diag(signs))) == []
-    assert exchanged_axes(SteerJogs(np.eye(4), np.full((4, 4), np.nan))) == []
+    assert exchanged_drives(*rounds) == {}
+    assert exchanged_axes(SteerJogs(np.eye(4), np.diag(signs))) == {}
+    assert exchanged_axes(SteerJogs(np.eye(4), np.full((4, 4), np.nan))) == {}
 
 
 STANDS_UP = {"emulation.imu": {"mount_rotation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}}
