@@ -34,7 +34,7 @@ class SlideWatch:
 
     def drove(self, record: CycleRecord) -> None:
         """Note that wheels were commanded to turn: until they rest nothing is compared."""
-        if np.abs(record.setpoint.wheel_rate_rad_s).max() > _TURNS_RAD_S:
+        if max(map(abs, record.setpoint.wheel_rate_rad_s.tolist())) > _TURNS_RAD_S:
             self._from_ns = record.start_ns + _RESTS_NS
 
     def begin(self) -> None:

@@ -28,7 +28,7 @@ _VALUES: Mapping[str, Callable[[Any], tuple[float, ...]]] = {
         sample.input_v,
         sample.duty,
     ),
-    "load_cells": lambda sample: (float(sample.force_n.sum()),),
+    "load_cells": lambda sample: (sum(sample.force_n.tolist()),),
 }
 """Values of the samples of a kind that change slowly, or come back slowly."""
 _SLOW = {"adhesion": 3, "load_cells": 0}
@@ -58,8 +58,10 @@ class DamagedReports(Check):
         """Look at the samples of a cycle."""
         t_ns = cycle.inputs.t_ns
         for name, values_of in _VALUES.items():
-            last, spikes = self._last[name], self._spikes[name]
-            for sample in cycle.inputs.of(name):
+            samples, last, spikes = cycle.inputs.of(name), self._last[name], self._spikes[name]
+            if not (samples or spikes or cycle.stops):
+                continue
+            for sample in samples:
                 if worst(sample) in _REPORTS:
                     last.append(values_of(sample))
                     if len(last) == 3 and _is_spike(*last):
@@ -69,11 +71,15 @@ class DamagedReports(Check):
                 self._quiet_ns[name] = t_ns + _WITHIN_NS
                 span_s = (t_ns - recent[0]) / NS_PER_S
                 cycle.events.append(Event(t_ns, "warning", name, _text(len(recent), span_s)))
-            jumps = len(last) > 1 and _is_step(last[-2][: _SLOW[name]], last[-1])
-            if cycle.stops and (recent or jumps):
-                cycle.stop(
-                    "damaged_reports", f"{name}: {_text(len(recent) + jumps, _WITHIN_NS / NS_PER_S)}", [name]
-                )
+            if cycle.stops:
+                self._add_to_stop(cycle, name, len(recent))
+
+    def _add_to_stop(self, cycle: Cycle, name: str, recent: int) -> None:
+        """Name reports that jumped as a cause of a stop, if some did."""
+        last = self._last[name]
+        jumps = len(last) > 1 and _is_step(last[-2][: _SLOW[name]], last[-1])
+        if recent or jumps:
+            cycle.stop("damaged_reports", f"{name}: {_text(recent + jumps, _WITHIN_NS / NS_PER_S)}", [name])
 
 
 def _text(count: int, within_s: float) -> str:

@@ -78,11 +78,13 @@ class WeightCheck(Check):
 
     def on_samples(self, cycle: Cycle) -> None:
         """Add the work of a cycle, and compare it with the weight."""
+        if self._judged:
+            if self._told and self._stops:
+                cycle.stop("weight", self._told, ("thrust", "servos"))
+            return
         for sample, wheels in zip(cycle.inputs.servos, cycle.measurements.wheels, strict=False):
             self._take(sample, wheels, cycle.last.heading_rad)
-        if self._told and self._stops:
-            cycle.stop("weight", self._told, ("thrust", "servos"))
-        elif not self._judged and abs(self._height_m) > _LEAST_M:
+        if abs(self._height_m) > _LEAST_M:
             self._judge(cycle)
 
     def _take(self, sample: ServoSample, wheels: WheelMeasurement, heading_rad: float) -> None:
