@@ -36,7 +36,7 @@ from hil.robot.trajectories import line
 
 S = 1_000_000_000
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
-ON_VESCS = {"thrust.model": "vesc"}
+ON_VESCS = {"thrust.model": "vesc", "loop.rate_hz": 50.0}
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """A robot that wrong propellers let slide is held again by fan and propellers, while physics allows it."""
 
 import contextlib
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hil.core.errors import HilError
 from hil.fault_matrix.possible_hold import LOST_M, can_be_held, slides_m
 from hil.loop.checks.adhesion_limits import SlidePush
 from hil.robot.trajectories import line
+from tests.selected import every
 
 IN_MOTION_S, IN_THE_CHECK_S = 1.5, 3.6
 ASKED_N = 0.7 * 3.25 * 9.81
@@ -19,9 +21,10 @@ ASKED_N = 0.7 * 3.25 * 9.81
 SETTLES_NS = nanoseconds(1.0)
 
 
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
-@pytest.mark.parametrize("at_s", [IN_MOTION_S, IN_THE_CHECK_S])
-@pytest.mark.parametrize("factor", [0.42, 2.5])
+@pytest.mark.parametrize(
+    ("factor", "at_s", "plant"),
+    every(3, [*product((0.42, 2.5), (IN_MOTION_S, IN_THE_CHECK_S), ("own", "mujoco"))]),
+)
 def test_propellers_that_push_wrongly_are_set_against_the_slide(factor, at_s, plant):
     keys = {**BRIEF, "emulation.plant": plant}
     end = drive(Case("", keys, (f"thrust:wrong@{at_s},factor={factor}",)), seed=8901)
@@ -31,9 +34,10 @@ def test_propellers_that_push_wrongly_are_set_against_the_slide(factor, at_s, pl
     assert end.told
 
 
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
-@pytest.mark.parametrize("at_s", [0.0, IN_MOTION_S, IN_THE_CHECK_S])
-@pytest.mark.parametrize("factor", [3.0, 4.0])
+@pytest.mark.parametrize(
+    ("factor", "at_s", "plant"),
+    every(5, [*product((3.0, 4.0), (0.0, IN_MOTION_S, IN_THE_CHECK_S), ("own", "mujoco"))]),
+)
 def test_propellers_that_throw_a_robot_off_are_not_raised_while_it_falls(factor, at_s, plant):
     keys = {**BRIEF, "emulation.plant": plant, "load_cells": None}
     end = drive(Case("", keys, (f"thrust:wrong@{at_s},factor={factor}",)), seed=8900)

@@ -21,7 +21,7 @@ RATIOS = (0.5, 0.67, 0.8, 1.25, 1.5, 2.0)
 POLES = tuple(n for k in range(1, 16) for n in (k, -k))
 MOMENTS_S = (0.0, 1.5, 3.6, 14.0)
 """Before, in motion, in the hold check, after the close."""
-BRIEF = {"exit.look_after_s": 1.0}
+BRIEF = {"exit.look_after_s": 1.0, "loop.rate_hz": 50.0}
 ON_VESCS = {"thrust": {"backend": "emulated", "model": "vesc"}}
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=2.5)
 _RATED = {"rated_force_n": 45.0, "rated_rpm": 30_000.0}
