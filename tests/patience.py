@@ -11,12 +11,15 @@ PATIENT = {
     "safety.servo_stale_s": 2.0,
     "servos.fail_after_s": 5.0,
     "servos.reply_slack_s": 0.03,
+    "loop.rate_hz": 50.0,
+    "servos.prefetch": True,
     "imu.reply_timeout_s": 0.1,
     "imu.fail_after_s": 10.0,
 }
 
-FANLESS = {"adhesion": None, "thrust": None, "load_cells": None}
-"""For tests of something else: a fan is not waited for; the emulated robot is pressed on its wall anyway."""
+FANLESS = {"adhesion": None, "thrust": None, "load_cells": None, "loop.rate_hz": 50.0}
+"""For tests of something else, at half the usual rate: a fan is not waited for; the emulated robot is pressed
+on its wall anyway."""
 
 
 def patient_bench(folder, profile, **tables):

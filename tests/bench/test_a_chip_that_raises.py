@@ -68,7 +68,7 @@ def test_the_robot_is_looked_after_whatever_a_chip_raises(monkeypatch, chip, hel
         on_due(self, t_ns)
 
     monkeypatch.setattr(SerialLine, "on_due", broken)
-    bench = hil.open_bench("emulated", seed=1)
+    bench = hil.open_bench("emulated", seed=1, overrides={"loop.rate_hz": 50.0})
     with pytest.raises(ZeroDivisionError), bench:
         bench.drive(line((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)))
     assert re.match(held, str(bench.held)), bench.held

@@ -40,6 +40,7 @@ def bench_with(
 ) -> Bench:
     """A bench in virtual time whose emulated devices have faults at their links, as real ones do."""
     faults = tuple(map(parse_fault, specs))
+    overrides = {"loop.rate_hz": 50.0, **overrides}
     model = make_bench_model(load_bench(profile, overrides=overrides))
     there = load_bench(profile, overrides={**overrides, "environment.start_pose": list(stands)})
     world = build_world(there, seed=2, faults=[*map(parse_fault, at_chips)])
@@ -88,7 +89,7 @@ def test_a_fault_that_has_hit_nothing_is_named_and_one_that_has_is_not():
     assert bench.faults_without_effect() == ()
     with bench_with("tracker:drop@1+0.5,probability=1e-6") as bench:
         bench.observe(2.5)
-    assert bench.faults_without_effect() == ("tracker:drop@1+0.5,probability=1e-06",)
+    assert [*map(str, bench.faults_without_effect())] == ["tracker:drop@1+0.5,probability=1e-06"]
 
 
 def test_a_port_that_a_driver_opens_again_while_it_is_read_keeps_its_faults():
@@ -124,7 +125,7 @@ def test_a_fault_counts_only_the_messages_that_it_has_hit_itself():
     silent, corrupt = bench.injection.report()
     assert silent["messages"] > 10
     assert corrupt["messages"] == 0
-    assert bench.faults_without_effect() == (corrupt["fault"],)
+    assert [*map(str, bench.faults_without_effect())] == [corrupt["fault"]]
 
 
 def test_with_faults_a_robot_on_a_wall_is_not_led_far():

@@ -25,7 +25,7 @@ def wrong(key, said, true):
 
 
 def opened(overrides, profile="emulated", seed=0):
-    return hil.open_bench(profile, overrides=overrides, seed=seed)
+    return hil.open_bench(profile, overrides={"loop.rate_hz": 50.0, **overrides}, seed=seed)
 
 
 def examined(overrides, profile="emulated"):

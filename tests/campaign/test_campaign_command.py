@@ -16,6 +16,7 @@ from urllib.parse import quote
 import pytest
 
 from hil.cli import main
+from tests.selected import every
 
 SCRIPT = '''
 """A procedure of a moment."""
@@ -258,7 +259,9 @@ def test_a_plan_of_which_nothing_ran_is_no_campaign(campaign, tmp_path):
 
 
 @pytest.mark.usefixtures("warm_commands")
-@pytest.mark.parametrize(("name", "how"), [("SIGINT", "interrupted"), ("SIGHUP", "ended by SIGHUP")])
+@pytest.mark.parametrize(
+    ("name", "how"), every(2, [("SIGINT", "interrupted"), ("SIGHUP", "ended by SIGHUP")])
+)
 def test_a_terminal_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(
     script, campaign, tmp_path, name, how
 ):

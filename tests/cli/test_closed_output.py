@@ -12,6 +12,7 @@ from hil.calibration.synthetic import hidden_robot, simulate
 from hil.datasets.plain_csv import write_plain
 from tests.patience import patient_bench
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
 SCRIPT = """
 import sys
 

@@ -77,7 +77,7 @@ def test_what_happens_to_a_fan_is_no_damaged_message():
 def test_a_wire_that_damages_the_fans_reports_stops_nothing_and_is_named(seed, share, overrides):
     named = []
     fault = f"adhesion:corrupt@1.5,probability={share}"
-    keys = {"exit.look_after_s": 1.0, **overrides}
+    keys = {"exit.look_after_s": 1.0, "loop.rate_hz": 50.0, **overrides}
     with hil.open_bench("emulated", seed=seed, overrides=keys, faults=[fault]) as bench:
         bench.drive(
             line((0, 0, 0), (0.2, 0, 0), duration_s=4.0),

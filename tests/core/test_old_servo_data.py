@@ -9,6 +9,7 @@ import hil
 from hil.core.errors import HilError
 from hil.fakes.servos.dynamixel.sensing import _ROWS, GRID_NS, Sensing
 from hil.robot.trajectories import line
+from tests.selected import every
 
 OLD = "servos:delayed@2.0,delay_s=0.05"
 
@@ -29,7 +30,7 @@ def driven(seed, plant="own", faults=()):
     return np.nanmax(off_m), named
 
 
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
+@pytest.mark.parametrize("plant", every(2, ["own", "mujoco"]))
 def test_values_of_some_time_ago_move_as_smoothly_as_present_ones(plant):
     off_m, named = driven(8526, plant, [OLD])
     assert off_m < 0.01

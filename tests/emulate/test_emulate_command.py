@@ -12,6 +12,7 @@ from emulators import END_S, emulator
 from hil.cli import main
 from hil.fakes.emulated_can_group import DEFAULT_PORT
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
 ENDS = ("SIGINT", "SIGTERM", "SIGHUP", "lifeline")
 
 
@@ -73,6 +74,7 @@ def test_it_ends_in_order_and_takes_its_ports_with_it(several, how):
         chip_id(endpoint)
 
 
+@pytest.mark.usefixtures("started_commands")
 def test_under_nohup_a_closed_terminal_does_not_end_it():
     former = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

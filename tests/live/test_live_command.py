@@ -79,7 +79,7 @@ def test_the_summary_says_what_happened(driven):
     timing = summary["timing"]
     for section in ("read", "estimate", "control", "write", "sinks", "work", "lateness"):
         assert timing[f"{section}_mean_ms"] <= timing[f"{section}_worst_ms"]
-    assert timing["cycles"] + timing["skipped"] == pytest.approx(250, abs=10)
+    assert timing["cycles"] + timing["skipped"] == pytest.approx(125, abs=10)
     assert summary["recording"]["dropped"] == summary["recording"]["lost"] == 0
     assert summary["recording"]["written"] == sum(1 for _ in read_cycles(folder / "run.mcap"))
     assert summary["samples"]["servos"]["missing"] == 0

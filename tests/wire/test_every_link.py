@@ -31,7 +31,7 @@ from tests.emulate.emulators import emulator
 from tests.selected import every
 from tests.wire import links_that_break as links
 
-pytestmark = [pytest.mark.real_time, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.real_time, pytest.mark.timeout(600), pytest.mark.usefixtures("warm_commands")]
 
 PATIENT = {"open_timeout_s": 10.0, "fail_after_s": 10.0}
 SERVOS = {"prefetch": True, "reply_slack_s": 0.02}
