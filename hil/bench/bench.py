@@ -25,6 +25,7 @@ from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DeviceError, HilError, SafetyStop, check_number
 from hil.core.geometry import Array, ArrayLike
 from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
+from hil.core.known_names import LAWS
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, CycleRecord, Event, RobotState
 from hil.fakes.body_interface import PlantState
@@ -319,6 +320,8 @@ class Bench(HeldDevices):
         if start.controller is not None:
             self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
+            if self.own_controller is None and start.controller in LAWS:
+                self._warn(self.config.control.unread(start.controller))
             self._hold.tilt.must_agree()
             filtered = start.feedback != "odometry"
             if filtered:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.campaign.table import Row
+from hil.config.control import law_of
 
 
 def alike(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -42,7 +43,8 @@ def _outcome(row: Row) -> tuple[str, tuple[tuple[str, float], ...]]:
 
 def in_a_sentence(found: Mapping[str, Any]) -> str:
     """Return a sentence: `gain: 1, 2 gave the same values in every run`, and what that means."""
-    return (
-        f"{found['key']}: {', '.join(found['values'])} gave the same values in every run, to the last bit; "
-        "perhaps no run reached a situation in which it matters"
-    )
+    why, law = "perhaps no run reached a situation in which it matters", law_of(found["key"])
+    if law is not None:
+        why = f"only the control law {law!r} reads it: vary it with control.law = {law!r}"
+    values = ", ".join(found["values"])
+    return f"{found['key']}: {values} gave the same values in every run, to the last bit; {why}"

@@ -11,6 +11,22 @@ Gain = Annotated[
 DeadZone = Annotated[float, Within(0.0, 0.05, "a robot that far off (m, rad) has to be corrected")]
 Weight = Annotated[float, Within(1e-6, 1e6, "only the ratios of the weights count")]
 
+_OF_LAW: dict[str, LawName] = {"gains": "nonlinear"} | dict.fromkeys(
+    ("integral", "state_weight", "integral_weight", "input_weight", "integral_clamp", "servo_lag_s"),
+    "optimal",
+)
+"""Keys that only one law reads."""
+
+
+def law_of(key: str) -> LawName | None:
+    """The one control law that reads a key of the bench file; None for keys that concern every law.
+
+    Args:
+        key: key with its table, such as `control.gains`; may begin with `bench.` or `config.`.
+    """
+    table, _, name = key.removeprefix("bench.").removeprefix("config.").partition(".")
+    return _OF_LAW.get(name) if table == "control" else None
+
 
 class ControlConfig(Strict):
     """Control law, its gains, the module layer and its limits.
@@ -58,3 +74,9 @@ class ControlConfig(Strict):
     heading_limit_rad: HeadingLimit = 0.2618
     goal_position_m: Annotated[float, Within(0.0, 0.1, "a goal that far away is not reached")] = 0.001
     goal_heading_rad: Annotated[float, Within(0.0, 0.2, "a goal that far away is not reached")] = 0.002
+
+    def unread(self, law: str) -> str:
+        """Sentence on keys that are set and that this law does not read; empty for none."""
+        keys = [f"control.{key}" for key in sorted(self.model_fields_set) if _OF_LAW.get(key, law) != law]
+        belongs = f"{'belongs' if len(keys) == 1 else 'belong'} to the other control law"
+        return f"{', '.join(keys)} {belongs}: the law {law!r} does not read it" if keys else ""

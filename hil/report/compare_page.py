@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.config.control import law_of
 from hil.core.errors import UsageError
 from hil.report.page_formats import environment, number, outcome_words
 from hil.report.result_reader import read_result
@@ -84,7 +85,7 @@ def _differences(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         for t in trees
     ]
     keys = dict.fromkeys(k for tree in flat for k in tree)
-    found = [{"key": k, "values": [str(tree.get(k, "–")) for tree in flat]} for k in keys]
+    found = [{"key": k, "law": law_of(k), "values": [str(tree.get(k, "–")) for tree in flat]} for k in keys]
     return [row for row in found if len(set(row["values"])) > 1]
 
 
@@ -108,10 +109,14 @@ def comparison_text(table: Mapping[str, Any]) -> str:
         values = "".join(f"{number(v):>12}" for v in row["values"])
         lines.append(f"{row['name']:44}{values} {row['unit']:8}{_change(row)}")
     differing = table["differences"]
-    lines += [f"differs: {row['key']} {', '.join(row['values'])}" for row in differing[:_LINES]]
+    lines += [f"differs: {row['key']} {', '.join(row['values'])}{_of_law(row)}" for row in differing[:_LINES]]
     if len(differing) > _LINES:
         lines.append(f"{len(differing) - _LINES} more that differ are on the page")
     return "\n".join(lines)
+
+
+def _of_law(row: Mapping[str, Any]) -> str:
+    return f" (only the control law {row['law']!r} reads it)" if row["law"] else ""
 
 
 def _change(row: Mapping[str, Any]) -> str:

@@ -122,7 +122,7 @@ function running(job) {
     try { await call("/api/finish", { job: job.name }); } catch (error) { finish.disabled = false; say(error); }
   });
   return [
-    make("p", {}, make("strong", {}, job.title), job.stopping ? " is stopping …" : job.finishing ? " is going to end …" : " runs"),
+    make("p", {}, make("strong", {}, job.title), job.watched?.why ? " is ending" : job.stopping ? " is stopping …" : job.finishing ? " is going to end …" : " runs"),
     ...(questionOf(job) ? [asking(job)] : []), ...(job.whole ? bar(job.whole) : []),
     ...(job.progress ? bar(job.progress) : []), make("p", { class: "row" }, finish), ...viewer(job),
   ];
@@ -152,7 +152,7 @@ function settle(question) {
 
 function show(jobs) {
   const job = jobs[0];
-  const key = JSON.stringify(job ? { ...job, live: null, live_age_s: null, watched: null, events: null } : null);
+  const key = JSON.stringify(job ? { ...job, live: null, live_age_s: null, watched: Boolean(job.watched?.why), events: null } : null);
   if (key !== shown) {
     shown = key;
     const parts = !job ? [make("p", {}, IDLE)] : job.running ? running(job) : ended(job);
