@@ -51,6 +51,7 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
             incomplete=any(m["missing"] for group in tree["groups"] for m in group["measurements"]),
             figures=figures,
             rows=shown,
+            errors=any(row.error for row in shown),
             hidden=len(rows) - len(shown),
             names=list(names),
             reports=[_report(row) for row in shown],

@@ -11,10 +11,15 @@ Gain = Annotated[
 DeadZone = Annotated[float, Within(0.0, 0.05, "a robot that far off (m, rad) has to be corrected")]
 Weight = Annotated[float, Within(1e-6, 1e6, "only the ratios of the weights count")]
 
-_OF_LAW: dict[str, LawName] = {"gains": "nonlinear"} | dict.fromkeys(
-    ("integral", "state_weight", "integral_weight", "input_weight", "integral_clamp", "servo_lag_s"),
-    "optimal",
-)
+_OF_LAW: dict[str, LawName] = {
+    "gains": "nonlinear",
+    "integral": "optimal",
+    "state_weight": "optimal",
+    "integral_weight": "optimal",
+    "input_weight": "optimal",
+    "integral_clamp": "optimal",
+    "servo_lag_s": "optimal",
+}
 """Keys that only one law reads."""
 
 

@@ -13,6 +13,7 @@ from hil.config.loading import NoSuchDevice, load_bench
 from hil.config.shipped_profiles import profile_names
 from hil.console.command_forms import Action, Field, Values
 from hil.core.errors import ConfigError, HilError
+from hil.core.signals import WHEELS
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import Described, described, make_parameters, written
 from hil.procedure.procedure_lookup import load_procedure
@@ -23,7 +24,7 @@ _OFFERED = {
     "accept": ("whole benches", "The first day", ("--bench", "--on-stand")),
     "commission": ("whole benches", "All procedures in order", ("--bench", "--quick")),
     "live": ("live", "Watch the live loop", ("--bench", "--duration")),
-    "jog": ("live", "Move the robot by hand", ("--bench", "--wheel", "--steer", "--body")),
+    "jog": ("live", "Move the robot by hand", ("--bench",)),
 }
 """Commands that the console starts: heading, and which of their options are seen at first."""
 _TERMINAL = {"answers", "fix", "dry", "resume", "commands", "script", "settings", "gamepad"}
@@ -42,7 +43,7 @@ _UNITS = {
     "hz": "Hz",
     "n": "N",
 }
-_BENCH, _EMULATE, _SET = "--bench", "--emulate", "--set"
+_BENCH, _EMULATE, _SET, _MOVES = "--bench", "--emulate", "--set", "moves"
 
 
 def actions(root: Path) -> list[Action]:
@@ -53,7 +54,8 @@ def actions(root: Path) -> list[Action]:
     """
     run = _command("run")
     procedures = [_procedure(load_procedure(name), run, root) for name in shipped_names()]
-    return [*(_plain(name, root) for name in _OFFERED), *procedures, _script(run, root)]
+    commands = [_jog(root) if name == "jog" else _plain(name, root) for name in _OFFERED]
+    return [*commands, *procedures, _script(run, root)]
 
 
 def _command(name: str) -> click.Command:
@@ -88,6 +90,29 @@ def _plain(name: str, root: Path) -> Action:
         return _problems_of_options(command, name, _options(command, values)) | _problems_of_bench(values)
 
     return Action(name, group, title, tuple(_fields(command, seen)), words, problems)
+
+
+def _jog(root: Path) -> Action:
+    """Form of `hil jog`: one choice of what is moved, in place of three options that exclude each other."""
+    plain = _plain("jog", root)
+    moved = {f"wheel {name}": {"--wheel": name} for name in WHEELS}
+    moved |= {f"steer {name}": {"--steer": name} for name in WHEELS} | {"body": {"--body": "true"}}
+    what = Field(_MOVES, "moves", "choice", help="What the buttons move.", choices=tuple(moved))
+    bench, *rest = (field for field in plain.fields if field.name not in ("--wheel", "--steer", "--body"))
+
+    def as_options(values: Values) -> Values:
+        kept = {key: value for key, value in values.items() if key != _MOVES}
+        return kept | moved.get(values.get(_MOVES, ""), {})
+
+    def problems(values: Values) -> dict[str, str]:
+        if values.get(_MOVES) not in moved:
+            return {_MOVES: "choose what the buttons move: a wheel, a steering axis, or the body"}
+        return plain.problems(as_options(values))
+
+    def words(values: Values) -> tuple[str, ...]:
+        return plain.words(as_options(values))
+
+    return Action(plain.name, plain.group, plain.summary, (bench, what, *rest), words, problems)
 
 
 def _procedure(proc: Procedure, run: click.Command, root: Path) -> Action:

@@ -85,8 +85,8 @@ def _differences(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         for t in trees
     ]
     keys = dict.fromkeys(k for tree in flat for k in tree)
-    found = [{"key": k, "law": law_of(k), "values": [str(tree.get(k, "–")) for tree in flat]} for k in keys]
-    return [row for row in found if len(set(row["values"])) > 1]
+    values = {k: [str(tree.get(k, "–")) for tree in flat] for k in keys}
+    return [{"key": k, "law": law_of(k), "values": v} for k, v in values.items() if len(set(v)) > 1]
 
 
 def _shown(value: Any) -> Any:

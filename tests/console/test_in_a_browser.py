@@ -303,7 +303,7 @@ def test_a_button_moves_the_robot_while_it_is_held(console, tmp_path):
         browser.until("document.querySelector('#form #start') !== null", console.frame)
         assert browser.ask(
             f"""choose('jog'); document.querySelector("[name='--bench']").value = '{bench.name}';
-            document.querySelector("[name='--body']").checked = true;
+            document.querySelector("[name=moves]").value = 'body';
             document.querySelector('#start').click(); true""",
             console.frame,
         )

@@ -9,6 +9,7 @@ import pytest
 
 from hil.console import jobs
 from hil.console.command_forms import Action, Field
+from hil.console.forms import actions
 from hil.console.held_buttons import KEYS
 from hil.console.page_server import PageProcess
 from hil.console.web_server import Refused, Request
@@ -234,3 +235,18 @@ def test_a_button_moves_nothing_in_what_is_no_jog(page):
     with pytest.raises(BlockingIOError):
         os.read(pipe, 1)
     os.close(pipe)
+
+
+def test_the_form_of_jog_has_one_choice_and_says_at_it_what_is_missing(tmp_path):
+    """An operator chose nothing: the answer came late, cut off, and beside no field."""
+    (jog,) = [action for action in actions(tmp_path) if action.name == "jog"]
+    names = [field.name for field in jog.fields]
+    assert not {"--wheel", "--steer", "--body"} & set(names)
+    (what,) = [field for field in jog.fields if field.name == "moves"]
+    assert not what.more
+    for values in ({}, {"moves": "all wheels"}):
+        assert list(jog.problems(values)) == ["moves"]
+    for choice in what.choices:
+        values = {"moves": choice, "--speed": "0.01"}
+        assert jog.problems(values) == {}
+        assert f"--{choice.replace(' ', '=')}" in jog.words(values)

@@ -43,7 +43,8 @@ function same() {
     const value = values[field.name];
     if (!value) continue;
     const text = quoted(value);
-    if (field.kind === "flag") words.push(field.name);
+    if (field.name === "moves") words.push(...`--${value}`.split(" "));
+    else if (field.kind === "flag") words.push(field.name);
     else if (field.name === "SCRIPT") words.push(text);
     else if (field.name.startsWith("--")) words.push(field.name, text);
     else words.push("--set", `${field.name}=${text}`);
@@ -292,7 +293,7 @@ const WITHOUT_VERDICT = ["unfinished", "foreign"];
 async function history() {
   try {
     const answer = await call(`/api/results?words=${encodeURIComponent(at("words").value)}`);
-    at("found").textContent = answer.found ? `${answer.found} ${answer.found === 1 ? "result" : "results"}, the latest first` : "Nothing yet that fits.";
+    at("found").textContent = answer.found ? `${answer.found} ${answer.found === 1 ? "result" : "results"}, the latest first` : at("words").value ? "Nothing fits these words." : "Nothing has been run yet.";
     at("history").hidden = !answer.found;
     at("history").replaceChildren(...table(["when", "what", "verdict", "bench, or why"], answer.results.map((r) => [
       r.when, r.link ? make("a", { href: r.link, target: "_blank", rel: "noopener", title: r.name }, r.procedure) : r.procedure || r.name,
