@@ -212,6 +212,15 @@ def test_every_parameter_has_a_row_of_plain_values():
     assert math.isfinite(rows["adhesion.pole_pairs"].difference)
 
 
+def test_a_push_that_is_a_fifth_too_high_is_not_confirmed():
+    states = {}
+    for said in (39.7, 47.6):
+        with opened(wrong("thrust.full_force_n", said, 39.7)) as bench:
+            bench.drive(UP, hold_s=0.1)
+        states[said] = {row.key: row.state for row in bench.parameters.rows()}["thrust.full_force_n"]
+    assert states == {39.7: "confirmed", 47.6: "unconfirmed"}
+
+
 def test_a_climb_confirms_the_weight_and_a_stop_contradicts_it():
     states = {}
     for said in (3.25, 1.95):

@@ -16,7 +16,7 @@ from hil.core.cross_check import CrossCheck, strongest
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.core.signals import Event
-from hil.loop.checks.weight import WRONG_SHARE, WeightCheck
+from hil.loop.checks.weight import FITS_SHARE, WeightCheck
 
 OF_NO_DEVICE = ("environment", "robot", "alignment")
 """Tables without a device that have parameters."""
@@ -67,12 +67,13 @@ class Parameters:
 
     def lifted(self, check: WeightCheck | None) -> None:
         """Take the work of the drives of a run, where it fits the weight."""
-        if check is not None and abs(check.off_share) <= WRONG_SHARE:
-            self.take(
-                CrossCheck(key, value, "confirmed", "the work of the drives", value, check.off_share)
-                for key in ("robot.mass_kg", *check.lifted.keys)
-                if (value := self._value(key)) is not None
-            )
+        if check is None or not abs(check.off_share) <= FITS_SHARE:
+            return
+        lifted, off = check.lifted, check.off_share
+        of_push = -off * lifted.weight_n / lifted.thrust_n if lifted.thrust_n else math.nan
+        for key, differs in (("robot.mass_kg", off), *((key, of_push) for key in lifted.keys)):
+            if (value := self._value(key)) is not None:
+                self.take([CrossCheck(key, value, "confirmed", "the work of the drives", value, differs)])
 
     def _value(self, key: str) -> Any:
         table, _, name = key.partition(".")

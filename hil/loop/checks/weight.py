@@ -22,6 +22,8 @@ _LOSS_N_M, _LOSS_N_M_S = 0.043, 0.023
 WRONG_SHARE = 0.17
 """Difference beyond which the bench file is contradicted, as a share of the weight: losses of gears that
 differ by 40 % are a sixth of the weight of the robot of the shipped profiles."""
+FITS_SHARE = 0.1
+"""Difference up to which it is confirmed, as a share of the weight: what is between the two is open."""
 _ROLLS_RAD_S, _STEADY_NS = 0.3, 300_000_000
 
 
