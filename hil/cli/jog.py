@@ -86,6 +86,7 @@ def command(
     source = real_time_source(request)
     moves = "body" if body else f"wheel {wheel}" if wheel is not None else f"steer {steer}"
     stop, folder = StopRequest(), SessionFolder(out, "jog", moves)
+    folder.check()
     with stop.noted(), _operator(gamepad) as make_keys, closing(open_aloud(source)) as opened:
         keys = make_keys(opened.clock.now_ns)
         if body:

@@ -136,6 +136,8 @@ def command(
         raise UsageError(f"--command and --controller {request.controller} would both move the robot")
     _must_agree(source, commands, repeated, record, out, unrecorded=unrecorded)
     folder = None if unrecorded else SessionFolder(out, "live")
+    if folder is not None and record is None:
+        folder.check()
     if repeated is not None and request.ros2_topic:
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     bench = real_time_source(request, repeated)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import OUT
+from hil.core.errors import DataError
 from hil.core.result_names import LIVE_RECORDING, SESSION
-from hil.support.atomic_files import check_new_file, put_whole, refused
+from hil.support.atomic_files import check_folder, check_new_file, put_whole, refused
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -44,6 +45,13 @@ class SessionFolder:
             check_new_file(folder / LIVE_RECORDING, "--out")
         when = began.isoformat(timespec="seconds")
         self._reported: dict[str, Any] = {"command": command, "moves": moves, "began": when}
+
+    def check(self) -> None:
+        """Make sure, before anything opens, that it can be written; raises `DataError`."""
+        try:
+            check_folder(self.folder)
+        except DataError as error:
+            raise DataError("", error.message, remedy="name another folder with --out") from None
 
     @property
     def recording(self) -> Path:

@@ -9,7 +9,9 @@ from typing import Any, get_type_hints
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError, UsageError, did_you_mean
+from hil.core.registry import kinds
 from hil.core.third_party_errors import of_a_script
 from hil.support.file_reading import json_value
 
@@ -62,6 +64,8 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
     for key, value in values.items():
         if key not in hints:
             known = f"known are {', '.join(hints)}" if hints else f"{owner} has no parameters"
+            if key.partition(".")[0] in (*BenchConfig.model_fields, *kinds()):
+                known = f"a key of the bench file is given as bench.{key}"
             problems.append(f"{key}: unknown parameter; {did_you_mean(key, hints) or known}")
             continue
         try:
