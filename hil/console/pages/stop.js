@@ -48,7 +48,7 @@ function show(state) {
   if (at("now").textContent !== now) at("now").textContent = now;
   notHeld = state.not_held;
   const stopped = state.jobs.filter((job) => job.running && job.watched && job.watched.why);
-  const alarm = [...stopped.map((job) => `${job.title}: ${job.watched.why}${job.watched.doubt && `; not held yet: ${job.watched.doubt}`}`), ...notHeld.map((left) => left.words)].join(" ");
+  const alarm = [...stopped.map((job) => `${job.title}: ${job.watched.why.split(". ")[0]}.`), ...notHeld.map((left) => left.words)].join(" ");
   if (at("alarm").textContent !== alarm) at("alarm").textContent = alarm;
   const jobs = notHeld.map((left) => left.job).join(" ");
   if (jobs !== leftBy) [leftBy, leftSince] = [jobs, Date.now()];
