@@ -18,6 +18,7 @@ from hil.core.geometry import Array
 from hil.datasets.bag_sensors import SensorLog
 from hil.datasets.cleaning import INTEGRATED, Log, count_gaps, recorded_rates
 from hil.datasets.clock_steps import in_words, split
+from hil.datasets.filled_rows import measured
 from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.truth_jumps import WheelMotion
@@ -174,6 +175,7 @@ def _build(
     turns = whole_turns(where, rows.t_s, rows.values[:, :4], rate)
     repairs.update(turns.repairs)
     poses = without_frozen(where, poses, rows.t_s, turns.angle, end_s, repairs)
+    poses = poses.only(measured(poses.t_s, poses.values, repairs))
     raw, steering = rows.values[:, 4:8], without_turns(rows.values[:, 4:8])
     by_wheels = WheelMotion.of(rows.t_s, turns.angle, steering, robot)
     poses, lasting = without_jumps(where, poses, by_wheels, repairs)

@@ -5,10 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS, hidden_robot, make_set
 from hil.cli import main
+from hil.datasets.cleaning import Log
 from hil.datasets.plain_csv import write_plain
-from hil.datasets.truth_correction import corrected
+from hil.datasets.truth_correction import corrected, notes_of
+from hil.datasets.wheel_log import build_recording
+from hil.robot.kinematics import WheelGeometry
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +110,28 @@ def test_bursts_of_slip_are_no_fault_of_the_ground_truth(seed):
     share = (0.0, 0.25, 0.5)[seed % 3]
     found = corrected(make_set(hidden_robot(seed, contact=contact), seed, motions, 2, slip_share=share))
     assert [one.name for one in found if one.contradictions] == []
+
+
+def filled(one, period_s):
+    """Poses of a slow source, filled up to the rate of the file along straight lines."""
+    at_s = np.arange(one.truth_t_s[0], one.truth_t_s[-1], period_s)
+    columns = [np.interp(one.truth_t_s, at_s, np.interp(at_s, one.truth_t_s, c)) for c in one.truth_pose.T]
+    wheels = np.column_stack([one.wheel_angle_rad, one.steering_rad])
+    truth = Log(one.truth_t_s, np.column_stack(columns))
+    return build_recording(one.name, Log(one.t_s, wheels), truth, motion=one.motion)
+
+
+@pytest.mark.parametrize("period_s", [0.2, 0.5])
+def test_poses_filled_in_are_left_out_and_counted_and_the_figure_stays(healthy, period_s):
+    found = corrected(spoilt := [filled(one, period_s) for one in healthy])
+    assert all(any(f"poses {period_s:g} s apart" in what for what in one.repairs) for one in spoilt)
+    assert notes_of(found) == []
+    assert not any(one.contradictions for one in found)
+    errors = [
+        [position_rmse(track(one, WheelGeometry.nominal())) for one in some] for some in (found, healthy)
+    ]
+    np.testing.assert_allclose(*errors, rtol=0.1, atol=3e-4)
+
+
+def test_measured_poses_are_not_taken_for_filled_in(healthy):
+    assert not any("filled" in what for one in healthy for what in one.repairs)
