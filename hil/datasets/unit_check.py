@@ -150,8 +150,8 @@ def check_units(
         raise DataError(
             where,
             f"wheels (phi) rolled {way_m:.3g} m but ground truth moved {seen_m:.3g} m",
-            expected="positions in m and wheel angles in rad",
-            remedy="check the units of both: degrees and millimetres must be converted",
+            expected="positions in m and wheel angles in rad, of the same drive",
+            remedy="no unit and no single column explains that: look whether all are of this robot and drive",
         )
 
 

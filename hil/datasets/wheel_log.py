@@ -21,6 +21,7 @@ from hil.datasets.clock_steps import in_words, split
 from hil.datasets.filled_rows import measured
 from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.truth_columns import check_columns
 from hil.datasets.truth_jumps import WheelMotion
 from hil.datasets.unit_check import check_units, rolled_m
 from hil.datasets.unit_factors import check_rates, check_steering_unit, check_ways
@@ -285,6 +286,7 @@ def _check(
     check_ways(where, as_read, robot, integrated=integrated)
     if refusal is not None:
         raise refusal
+    check_columns(where, drive, robot)
     pose, heading = drive.pose[seen], as_read.pose[seen, 2]
     check_units(where, drive.angle[shared], counted, drive.truth_t_s[seen], pose, heading, robot)
     check_steering_unit(where, drive, raw, robot)

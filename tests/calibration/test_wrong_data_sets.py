@@ -8,6 +8,7 @@ import pytest
 from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS, hidden_robot, make_set
 from hil.cli import main
+from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.truth_correction import corrected, notes_of
@@ -135,3 +136,43 @@ def test_poses_filled_in_are_left_out_and_counted_and_the_figure_stays(healthy, 
 
 def test_measured_poses_are_not_taken_for_filled_in(healthy):
     assert not any("filled" in what for one in healthy for what in one.repairs)
+
+
+def exchanged(one, pose, steering):
+    """The heading is written as delta1, and the other way round."""
+    heading = pose[:, 2].copy()
+    pose[:, 2] = np.interp(one.truth_t_s, one.t_s, steering[:, 0])
+    steering[:, 0] = np.interp(one.t_s, one.truth_t_s, heading)
+
+
+def height(one, pose, steering):
+    pose[:, 1] = 0.08 + np.random.default_rng(1).normal(0.0, 2e-4, len(pose))
+
+
+def course(one, pose, steering):
+    step = pose[20:, :2] - pose[:-20, :2]
+    goes = np.flatnonzero(np.hypot(*step.T) > 2e-3)
+    angle = np.unwrap(np.arctan2(step[goes, 1], step[goes, 0]))
+    pose[:, 2] = np.interp(np.arange(len(pose)), goes + 20, angle)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "motions", "named"),
+    [
+        (
+            exchanged,
+            ("line_y", "circle_ccw", "rotation_cw", "arc"),
+            r"heading \(theta\) and delta1 are exchanged",
+        ),
+        (height, ("line_y", "circle_ccw"), "y does not follow the robot"),
+        (course, ("line_y",), r"heading \(theta\) is the direction in which it moves"),
+    ],
+)
+def test_a_column_that_holds_another_quantity_is_named(healthy, spoil, motions, named):
+    """Where the motion shows it; the others have units that would explain nothing."""
+    for one in (one for one in healthy if one.motion in motions):
+        pose, steering = one.truth_pose.copy(), one.steering_rad.copy()
+        spoil(one, pose, steering)
+        wheels = Log(one.t_s, np.column_stack([one.wheel_angle_rad, steering]))
+        with pytest.raises(DataError, match=named):
+            build_recording(one.name, wheels, Log(one.truth_t_s, pose), motion=one.motion)
