@@ -22,9 +22,9 @@ _WORTH_M, _FEWEST = 0.1, 4
 def check_columns(where: str, drive: Drive, nominal: Nominal) -> None:
     """Refuse a column of ground truth that does not follow the wheels while the other columns do.
 
-    Most wheels miss 0.6 of their way as it is. The heading is named where the positions agree with the wheels
-    if the heading is theirs, or where it agrees exchanged with a steering angle (less than 0.2 is missed); x
-    or y where the other one and the heading agree.
+    Most wheels miss 0.6 of their way as it is. The heading is named where it is the direction of travel and
+    the positions agree with the wheels' own heading, or where it agrees exchanged with a steering
+    angle (less than 0.2 is missed); x or y where the other one and the heading agree.
 
     Args:
         where: the file, for messages.
@@ -79,8 +79,7 @@ def _of_positions(drive: Drive, edges_s: Array, rolled: Complexes, wheels: Wheel
         course = np.abs(np.sin(0.5 * (theta[1:] + theta[:-1]) - np.angle(went)))
         goes = np.abs(went) > 0.5 * np.percentile(np.abs(went), 90.0)
         is_course = np.mean(course[goes] < _COURSE) > _MOST
-        what = "is the direction in which it moves" if is_course else "does not turn as the robot"
-        return f"the heading (theta) {what}"
+        return "the heading (theta) is the direction in which it moves" if is_course else ""
     lever, expected = lever_m(wheels), way * np.exp(0.5j * (theta[1:] + theta[:-1]))
     pairs = {"x": (expected.real, went.real), "y": (expected.imag, went.imag)}
     off = {name: float(np.abs(by - to).sum()) for name, (by, to) in pairs.items()}
