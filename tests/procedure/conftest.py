@@ -21,6 +21,11 @@ class Scripted:
         return self.answer
 
 
+@pytest.fixture(scope="module", autouse=True)
+def without_topics(cycles_alone):
+    """No test here reads the topics of a recording."""
+
+
 @pytest.fixture
 def bare_source():
     return BenchSource(BenchConfig(schema=1, name="bare"))

@@ -29,6 +29,11 @@ SHORT = {
 }
 
 
+@pytest.fixture(scope="module", autouse=True)
+def without_topics():
+    """Worker processes write them, so this one does, too."""
+
+
 @pytest.fixture
 def tracked(run_small):
     def run(processes, *faults):
