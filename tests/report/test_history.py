@@ -331,6 +331,16 @@ SESSION["real"] = ["servos"]
         ({"began": 3}, "foreign", "session.json is of no live session"),
     ],
 )
+def test_a_live_session_is_listed_also_one_that_was_killed(tmp_path, change, kind, why):
+    folder = tmp_path / "live" / "one"
+    folder.mkdir(parents=True)
+    (folder / "session.json").write_text(json.dumps(SESSION | change))
+    (kept,) = find_results(tmp_path)
+    assert (kept.kind, kept.why) == (kind, why)
+    if kind == "live":
+        assert (kept.what, kept.where, kept.when.hour) == ("live", "real time, emulated: imu", 10)
+
+
 @pytest.mark.parametrize(
     ("ended", "state", "verdict"),
     [
@@ -349,13 +359,3 @@ def test_a_session_is_listed_with_what_it_moved_its_faults_and_how_it_ended(tmp_
     (kept,) = find_results(tmp_path)
     assert (kept.what, kept.verdict) == ("jog wheel FL", verdict)
     assert kept.why.startswith("with adhesion:off@16; ended by: ")
-
-
-def test_a_live_session_is_listed_also_one_that_was_killed(tmp_path, change, kind, why):
-    folder = tmp_path / "live" / "one"
-    folder.mkdir(parents=True)
-    (folder / "session.json").write_text(json.dumps(SESSION | change))
-    (kept,) = find_results(tmp_path)
-    assert (kept.kind, kept.why) == (kind, why)
-    if kind == "live":
-        assert (kept.what, kept.where, kept.when.hour) == ("live", "real time, emulated: imu", 10)
