@@ -149,7 +149,7 @@ class Drive:
         }
         return self._columns([none, none], [u.real, u.imag]), changes, steady
 
-    def _columns(self, translations: Sequence[Array | Complexes], turns: Sequence[Array]) -> Array:
+    def _columns(self, translations: Sequence[npt.ArrayLike], turns: Sequence[Array]) -> Array:
         """Columns (3 k, c) of c translations (k,), m, and turns (k,), rad."""
         way = np.stack([np.asarray(one, dtype=np.complex128) for one in translations], axis=1)
         turn = self.lever_m * np.stack(turns, axis=1)
