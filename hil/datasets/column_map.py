@@ -25,7 +25,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -42,6 +42,15 @@ _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "turns": math.tau}
 _RATE = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.tau / 60.0, "turns/s": math.tau}
+_UNITS_OF = {
+    "t": ("t", _TIME),
+    "phi": ("phi", _ANGLE),
+    "delta": ("delta", _ANGLE),
+    "w": ("w", _RATE),
+    "x, y": ("position", _LENGTH),
+    "theta": ("theta", _ANGLE),
+}
+_SAME = 1e-3
 _NAMED, _SHOWN = 12, 40
 
 
@@ -125,6 +134,25 @@ class ColumnMap(Table):
         ):
             if own is not None:
                 yield name, own, factor
+
+    def units_by(self, factors: Mapping[str, float]) -> str:
+        """Keys of `[columns.units]` with which numbers as read now are multiplied by factors.
+
+        Args:
+            factors: by quantity, as in `hil.datasets.wrong_units.UnitError`.
+
+        Returns:
+            The keys with their values; empty where one of the units is none that can be given.
+        """
+        out = []
+        for quantity, factor in factors.items():
+            key, units = _UNITS_OF[quantity]
+            wanted = factor * units[getattr(self.units, key)]
+            same = [name for name, to_si in units.items() if math.isclose(to_si, wanted, rel_tol=_SAME)]
+            if not same:
+                return ""
+            out.append(f'{key} = "{same[0]}"')
+        return ", ".join(out)
 
 
 def read_columns(path: Path, data: bytes, columns: ColumnMap) -> tuple[list[str], Array]:

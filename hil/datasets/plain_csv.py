@@ -24,6 +24,7 @@ from hil.datasets.recording_names import motion_of
 from hil.datasets.sampling import truth_at
 from hil.datasets.truth_files import TruthFile, read_truth, refuse_truth_alone
 from hil.datasets.wheel_log import Recording, build_recording
+from hil.datasets.wrong_units import UnitError
 
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
@@ -78,16 +79,25 @@ def read_plain(
         sources.append(source)
         digests.append(digest)
     stem = path.name.removesuffix(".gz").removesuffix(".csv")
-    return build_recording(
-        stem,
-        log,
-        poses if own_truth or truth is not None else None,
-        motion=motion_of(stem),
-        sources=tuple(sources),
-        sha256=tuple(digests),
-        nominal=nominal,
-        repairs=lacking,
-    )
+    try:
+        return build_recording(
+            stem,
+            log,
+            poses if own_truth or truth is not None else None,
+            motion=motion_of(stem),
+            sources=tuple(sources),
+            sha256=tuple(digests),
+            nominal=nominal,
+            repairs=lacking,
+        )
+    except UnitError as error:
+        keys = named.units_by(error.units) if named is not None else ""
+        if not keys:
+            raise
+        message = error.message.removeprefix(f"{path}: ")
+        raise UnitError(
+            str(path), message, error.units, remedy=f"in [columns.units] of --topics that is {keys}"
+        ) from None
 
 
 def has_own_columns(path: Path) -> bool:

@@ -88,7 +88,9 @@ def _of_positions(drive: Drive, edges_s: Array, rolled: Complexes, wheels: Wheel
         return ""
     for name, other in (("x", "y"), ("y", "x")):
         own_m = float(np.abs(pairs[name][0]).sum())
-        if own_m > _WORTH_M and off[name] > _WRONG * own_m and off[other] < _AGREES * whole_m:
+        by, to = pairs[name]
+        scaled = _share(by * float(by @ to) / max(float(by @ by), 1e-9), to) < _AGREES
+        if own_m > _WORTH_M and off[name] > _WRONG * own_m and off[other] < _AGREES * whole_m and not scaled:
             return (
                 f"{name} does not follow the robot (a height, or another coordinate?): it changes by "
                 f"{np.abs(pairs[name][1]).sum():.2g} m where the wheels go {own_m:.2g} m in {name}"

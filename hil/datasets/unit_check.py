@@ -10,6 +10,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.cleaning import MIN_STEP_S
 from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.wrong_units import UnitError
 
 _SLOWEST_ROW_S = 0.5
 _UNITS_OF_TIME = ((3e2, "milliseconds", "1e3"), (3e5, "microseconds", "1e6"), (np.inf, "nanoseconds", "1e9"))
@@ -36,9 +37,10 @@ def check_time(where: str, t_s: Array) -> None:
     if step <= _SLOWEST_ROW_S:
         return
     unit, factor = next((name, factor) for below, name, factor in _UNITS_OF_TIME if step < below)
-    raise DataError(
+    raise UnitError(
         where,
         f"time (t) goes on by {step:.3g} from row to row (median)",
+        {"t": 1.0 / float(factor)},
         expected=f"seconds, at most {_SLOWEST_ROW_S:g} from row to row",
         remedy=f"divide it by {factor} if it is in {unit}",
     )
@@ -116,9 +118,10 @@ def check_units(
         DataError: a unit cannot be right.
     """
     if _in_degree_counts(steering):
-        raise DataError(
+        raise UnitError(
             where,
             "steering angles (delta) seem to be in degrees: all are multiples of a 4096th of 360",
+            {"delta": np.pi / 180.0},
             expected="rad",
             remedy="multiply delta by 0.0174533",
         )
@@ -138,10 +141,11 @@ def check_units(
     lever = lever_m(nominal.geometry)
     turned = float(np.ptp(np.percentile(heading, (1.0, 99.0))))
     if turned > _TURNS_MORE * way_m / lever + _WRAPPED_RAD:
-        raise DataError(
+        raise UnitError(
             where,
             f"the heading (theta) turns by {turned:.3g} while the wheels rolled {way_m:.3g} m, "
             f"enough for {way_m / lever:.3g} rad",
+            {"theta": np.pi / 180.0},
             expected="radians",
             remedy="convert degrees to radians",
         )

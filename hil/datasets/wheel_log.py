@@ -21,13 +21,15 @@ from hil.datasets.clock_steps import in_words, split
 from hil.datasets.filled_rows import measured
 from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.rate_units import check_rates
 from hil.datasets.truth_columns import check_columns
 from hil.datasets.truth_jumps import WheelMotion
 from hil.datasets.unit_check import check_units, rolled_m
-from hil.datasets.unit_factors import check_rates, check_steering_unit, check_ways
+from hil.datasets.unit_factors import check_steering_unit, check_ways
 from hil.datasets.usable_rows import Rows, usable, usable_wheels, without_frozen, without_jumps
 from hil.datasets.wheel_turns import check_steering, whole_turns, without_turns
 from hil.datasets.wheel_ways import Drive
+from hil.datasets.wrong_units import all_at_once
 
 _MIN_SHARED = 2
 _ROTATION_RAD = 5.0
@@ -132,6 +134,11 @@ def build_recording(
             or whose number of turns is unknown.
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
+
+    def build(called: str, wheels: Log, truth: Log | None) -> Recording:
+        how = _without_truth if truth is None else partial(_build, truth=truth)
+        return how(called, where, wheels, motion, robot, dict(repairs or {}), of_twist)
+
     parts, problems, refusals = list[Recording](), list[str](), list[DataError]()
     logs = [
         (one, None if truth is None else other)
@@ -140,9 +147,7 @@ def build_recording(
     for k, (own_wheels, own_truth) in enumerate(logs, start=1):
         called = name if len(logs) == 1 else f"{name} part {k}"
         try:
-            build = _without_truth if own_truth is None else partial(_build, truth=own_truth)
-            found = build(called, where, own_wheels, motion, robot, dict(repairs or {}), of_twist)
-            parts.append(found)
+            parts.append(all_at_once(where, own_wheels, own_truth, partial(build, called)))
         except DataError as error:
             refusals.append(error)
             problems.append(f"part {k} of it is left out ({error.message.removeprefix(f'{where}: ')})")

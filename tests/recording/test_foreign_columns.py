@@ -121,6 +121,24 @@ def test_all_problems_come_at_once(drive, tmp_path):
         assert re.search(said, caught.value.message)
 
 
+@pytest.mark.parametrize("command", ["evaluate", "calibrate", "replay"])
+def test_all_wrong_units_come_at_once(drive, tmp_path, capsys, command):
+    """Three units that the mapping has wrong: each is named, and with the keys that are told it is read."""
+    units = {"t": "ms", "phi": "deg", "position": "mm"}
+    wrong = COLUMNS
+    for key, unit in units.items():
+        wrong = wrong.replace(f'{key} = "{unit}"\n', "")
+    made, how = write(tmp_path / "curve_1.csv", drive), mapping(tmp_path, wrong)
+    assert main([command, str(made), "--topics", str(how)]) == 2
+    told = capsys.readouterr().err
+    assert all(f"({name})" in told for name in ("t", "phi", "x, y"))
+    keys = re.search(r"in \[columns.units\] of --topics that is (.*)", told)[1].replace(", ", "\n")
+    assert set(keys.split("\n")) == {f'{key} = "{unit}"' for key, unit in units.items()}
+    right = mapping(tmp_path, wrong.replace("[columns.units]", f"[columns.units]\n{keys}"))
+    found = read_mapped(made, read_topic_map(right))
+    np.testing.assert_allclose(found.wheel_angle_rad, drive.phi, atol=1e-9)
+
+
 def test_a_wrong_mapping_is_refused_as_a_whole(tmp_path):
     wrong = COLUMNS.replace('"ms"', '"minutes"').replace("drive_sign = [1, 1", "drive_sign = [2, 1")
     with pytest.raises(ConfigError) as caught:
