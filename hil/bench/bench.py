@@ -12,7 +12,7 @@ from hil.bench.cross_checks.gravity import gravity_checks
 from hil.bench.cross_checks.parameters import RESTING, at_rest
 from hil.bench.cross_checks.rest_watch import RestWatch, samples_of
 from hil.bench.doctor.inertial_offsets import InertialWatch
-from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
+from hil.bench.drive_start import blind_to_the_drive, emulated_hold, forces_apart, must_begin_where_it_stands
 from hil.bench.hold.held_devices import HeldDevices
 from hil.bench.injection import Injection
 from hil.bench.loop_settings import real_time
@@ -320,6 +320,7 @@ class Bench(HeldDevices):
         if start.controller is not None:
             self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
+            self._warn(forces_apart(self.config))
             if self.own_controller is None and start.controller in LAWS:
                 self._warn(self.config.control.unread(start.controller))
             self._hold.tilt.must_agree()

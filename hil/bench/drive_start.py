@@ -70,6 +70,18 @@ def emulated_hold(config: BenchConfig) -> str:
     )
 
 
+def forces_apart(config: BenchConfig) -> str:
+    """Warning if fan and load cells are in two worlds, so that neither confirms the other; else empty."""
+    name = config.force_sensor_elsewhere()
+    if not name:
+        return ""
+    return (
+        f"{kinds()[name].noun}: in another world than the servos (emulated beside real ones, or the "
+        "reverse), so the force measured there is that of another robot: it is neither compared nor counted, "
+        "and the force that holds this robot is unconfirmed"
+    )
+
+
 def _pose_text(pose: Array) -> str:
     x_m, y_m, heading_rad = pose.tolist()
     return f"x {x_m:.3f} m, y {y_m:.3f} m, theta {heading_rad:.3f} rad"

@@ -208,7 +208,8 @@ def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:
 def hold_keys(config: BenchConfig) -> tuple[str, ...]:
     """Keys that scale what holds the robot on its wall, and that no second sensor confirms."""
     fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
-    force = fan.ratings().keys if fan is not None and cells is None else ()
+    alone = cells is None or bool(config.force_sensor_elsewhere())
+    force = fan.ratings().keys if fan is not None and alone else ()
     return (*force, *(push.push_keys if push is not None else ()), "robot.mass_kg")
 
 
@@ -223,7 +224,12 @@ def pretended_holders(config: BenchConfig) -> tuple[str, ...]:
 
 
 def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
-    """Required adhesion and its limits; None for a bench without fan and load cells."""
+    """Required adhesion and its limits; None for a bench without fan and load cells.
+
+    Of a fan and load cells in two worlds, only that of the servos' world counts.
+    """
+    if other := config.force_sensor_elsewhere():
+        config = config.model_copy(update={other: None})
     fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
     if fan is None and cells is None:
         return None

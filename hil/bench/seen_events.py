@@ -18,17 +18,21 @@ class SeenEvents(Sink):
 
     Attributes:
         contradicting: events that contradict the bench file, by key.
+        first_ns: time of the first cycle by the bench's clock, ns; None before it.
         distrusted: first event of each device whose samples count for nothing from then on.
     """
 
     def __init__(self, since_begun_ns: Callable[[int], int]) -> None:
         self._since_begun_ns = since_begun_ns
         self._rows = EventRows(GRAVE)
+        self.first_ns: int | None = None
         self.distrusted: dict[str, Event] = {}
         self.contradicting: dict[str, Event] = {}
 
     def write(self, record: CycleRecord) -> None:
         """Add the events of one cycle."""
+        if self.first_ns is None:
+            self.first_ns = record.start_ns
         for event in record.events:
             self.add(event)
 

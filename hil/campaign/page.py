@@ -67,7 +67,7 @@ def _sentence(rows: Sequence[Row]) -> str:
     if tested == len(rows):
         text = f"{good} of {tested} runs kept their limits."
     else:
-        faults = count(spec for row in rows for spec in row.faults_not_begun)
+        faults = count(spec for row in rows for spec in row.faults_not_met)
         why = not_tested(faults, sum(row.lost for row in rows))
         kept = f"{good} of the other {tested} kept their limits" if tested else "there are no others"
         text = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({why}); {kept}."

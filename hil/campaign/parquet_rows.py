@@ -31,8 +31,8 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
     An existing file is overwritten. If not `over`, only a missing or truncated file is written: a run that
     was finished earlier may have either.
 
-    Columns: case, seed, settings (map of text to text), verdict, faults_not_begun (list of text: those that
-    never acted), exit_code, duration_s (s), error, measurement, unit, value (in `unit`), outcome, low, high,
+    Columns: case, seed, settings (map of text to text), verdict, faults_not_met (list of text: those that
+    met no cycle), exit_code, duration_s (s), error, measurement, unit, value (in `unit`), outcome, low, high,
     missing (why there is no value).
 
     Raises:
@@ -53,7 +53,7 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
             "seed": pa.int64(),
             "settings": pa.map_(text, text),
             "verdict": text,
-            "faults_not_begun": pa.list_(text),
+            "faults_not_met": pa.list_(text),
             "exit_code": pa.int64(),
             "duration_s": number,
             "error": text,
@@ -71,7 +71,7 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
         "seed": row.case.seed,
         "settings": list(row.case.settings),
         "verdict": row.verdict,
-        "faults_not_begun": list(row.faults_not_begun),
+        "faults_not_met": list(row.faults_not_met),
         "exit_code": row.exit_code,
         "duration_s": row.duration_s,
         "error": row.error,

@@ -302,7 +302,7 @@ def _row(job: Job, tree: dict[str, Any]) -> Row:
         tree.get("duration_s") or 0.0,
         {row["name"]: {k: row[k] for k in kept} | {"missing": missing(row)} for row in tree["measurements"]},
         "" if error is None else f"{error['type']} in {error['step']!r}: {error['message']}",
-        tuple(tree["faults_not_begun"]),
+        tuple(tree["faults_not_met"]),
     )
 
 

@@ -29,7 +29,7 @@ class Row:
             there is no value, empty where there is one.
         error: message of the error; empty without one.
         exit_code: exit code that `hil run` would have had.
-        faults_not_begun: specs of faults that had not begun when the run ended: it does not test them.
+        faults_not_met: specs of faults that met no control cycle: the run does not test them.
     """
 
     case: Case
@@ -39,12 +39,12 @@ class Row:
     duration_s: float
     measurements: dict[str, dict[str, Any]] = field(default_factory=dict)
     error: str = ""
-    faults_not_begun: tuple[str, ...] = ()
+    faults_not_met: tuple[str, ...] = ()
 
     @property
     def tested(self) -> bool:
         """Whether the run has a result and all its faults have acted."""
-        return not (self.lost or self.faults_not_begun)
+        return not (self.lost or self.faults_not_met)
 
     @property
     def lost(self) -> bool:
@@ -85,7 +85,7 @@ def _summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
         "settings": dict(rows[0].case.settings),
         "n": len(rows),
         "tested": len(tested),
-        "faults_not_begun": count(spec for row in rows for spec in row.faults_not_begun),
+        "faults_not_met": count(spec for row in rows for spec in row.faults_not_met),
         "lost": sum(row.lost for row in rows),
         "verdicts": count(row.verdict for row in rows),
         "good": good,
@@ -142,8 +142,8 @@ def in_words(counted: Mapping[str, int]) -> str:
 
 
 def not_tested(faults: Mapping[str, int], lost: int) -> str:
-    """Return in how many runs each fault never acted, and how many are lost: `imu:off@5 never acted in 2`."""
-    whys = [f"{spec} never acted in {n}" for spec, n in faults.items()]
+    """Return in how many runs no cycle met a fault, and how many are lost: `no cycle met imu:off@5 in 2`."""
+    whys = [f"no cycle met {spec} in {n}" for spec, n in faults.items()]
     return ", ".join(whys + [f"{lost} {LOST}"] * bool(lost))
 
 
@@ -159,7 +159,7 @@ def wilson(good: int, total: int) -> tuple[float, float]:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write one line per case: settings, verdict, faults that never acted, measurements; header with units.
+    """Write one line per case: settings, verdict, faults that met no cycle, measurements; header with units.
 
     Raises:
         DataError: the file cannot be written.
@@ -171,7 +171,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
         "seed",
         *keys,
         "verdict",
-        "faults_not_begun",
+        "faults_not_met",
         "duration_s",
         *(f"{n} ({u})" for n, u in units.items()),
         "error",
@@ -189,7 +189,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
                         row.case.seed,
                         *(settings.get(k, "") for k in keys),
                         row.verdict,
-                        "; ".join(row.faults_not_begun),
+                        "; ".join(row.faults_not_met),
                         f"{row.duration_s:.3f}",
                         *("" if v is None else repr(v) for v in values),
                         row.error,

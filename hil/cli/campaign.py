@@ -247,7 +247,7 @@ def _run(
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """0 all good, 1 a limit failed or a fault never acted, else the code of the first broken or lost run."""
+    """0 all good, 1 a limit failed or no cycle met a fault, else the code of the first broken or lost run."""
     broken = next(
         (row.exit_code for row in rows if row.exit_code not in (EXIT_PASS, EXIT_LIMIT_FAILED)), None
     )
@@ -314,7 +314,7 @@ def _text(tree: dict[str, Any]) -> str:
     counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())
     if untested := tree["cases"] - sum(group["tested"] for group in tree["groups"]):
         lost = sum(group["lost"] for group in tree["groups"])
-        whys = ["a fault never acted"] * (untested > lost) + ["they left no result"] * bool(lost)
+        whys = ["no control cycle met a fault"] * (untested > lost) + ["they left no result"] * bool(lost)
         counted += f"; {untested} of them NOT TESTED: {', or '.join(whys)}"
     return "\n".join([*lines, f"{tree['verdict']}: {tree['procedure']}, {counted}"])
 
@@ -330,6 +330,6 @@ def _share(group: dict[str, Any]) -> str:
         share = f"{100 * group['pass_share']:.0f} % good{of_tested}"
         said += f", {share} (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
     if tested < group["n"]:
-        why = not_tested(group["faults_not_begun"], group["lost"])
+        why = not_tested(group["faults_not_met"], group["lost"])
         said += f", {group['n'] - tested} NOT TESTED: {why}"
     return said

@@ -1,6 +1,7 @@
 """`hil export`: a recording as CSV or Parquet."""
 
 import json
+import shlex
 from pathlib import Path
 
 import click
@@ -27,7 +28,15 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
     from hil.recording.mcap_reader import read_cycles
     from hil.support.atomic_files import check_ending
 
-    chosen = kind or ("parquet" if out is not None and out.suffix == ".parquet" else "csv")
+    if out is not None and out.suffix.lower() in (".tum", ".kitti"):
+        raise UsageError(
+            f"{out}: is a trajectory, and the table is of wheels",
+            expected="one that ends with .csv or .parquet",
+            remedy=f"`hil replay {shlex.quote(str(recording))} --trajectories FOLDER` writes .tum and .kitti",
+        )
+    if out is not None and kind is None:
+        check_ending(out, ".csv", ".parquet")
+    chosen = kind or ("parquet" if out is not None and out.suffix.lower() == ".parquet" else "csv")
     target = out or recording.with_suffix(f".{chosen}")
     check_ending(target, f".{chosen}")
     problems: list[str] = []

@@ -171,9 +171,9 @@ def _repeated(words: Sequence[str]) -> str:
 
 
 def _untested(result: Result) -> str:
-    """A sentence on the faults whose start the run did not reach; empty where there are none."""
-    missed = result.facts["faults_not_begun"]
-    return f"The run ended before {', '.join(missed)} acted: it does not test that." if missed else ""
+    """A sentence on the faults that met no control cycle; empty where there are none."""
+    missed = result.facts["faults_not_met"]
+    return f"No control cycle has met {', '.join(missed)}: the run does not test that." if missed else ""
 
 
 def _report_of(result: Result) -> tuple[str | None, int]:

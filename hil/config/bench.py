@@ -109,6 +109,15 @@ class BenchConfig(Strict):
             return ()
         return tuple(name for name in self.elsewhere() if kinds()[name].holds_robot)
 
+    def force_sensor_elsewhere(self) -> str:
+        """Which of fan and load cells is not in the servos' world, where only one of the two is; else empty.
+
+        Its force is that of another robot, so the two are not compared, and the other one alone counts.
+        """
+        pair = {name for name in ("adhesion", "load_cells") if name in self.devices()}
+        apart = pair.intersection(self.elsewhere())
+        return apart.pop() if len(pair) == 2 and len(apart) == 1 else ""
+
     def of_one_world(self) -> BenchConfig:
         """The same bench without the devices that are `elsewhere`: all that see the servos' robot."""
         others = self.elsewhere()

@@ -163,7 +163,7 @@ class DeviceCells:
         seen.held = bench.held if bench.held.opened else None
         seen.looked_s = bench.clock.now_ns() / NS_PER_S
         seen.moved_m = bench.held.moved_m or 0.0
-        seen.missed = ", ".join(map(str, (*bench.faults_without_effect(), *bench.faults_not_begun())))
+        seen.missed = ", ".join(map(str, (*bench.faults_without_effect(), *bench.faults_not_met())))
         seen.events = told_by(bench)
         return seen, left
 

@@ -197,9 +197,9 @@ class LiveSession:
         }
         if injected := bench.injection.report():
             found["injected"] = injected
-        if missed := bench.faults_not_begun():
-            found["faults_not_begun"] = list(map(str, missed))
-            found["note"] = bench.not_begun_in_words(missed)
+        if missed := bench.faults_not_met():
+            found["faults_not_met"] = list(map(str, missed))
+            found["note"] = bench.not_met_in_words(missed)
         if said := advice(bench.statistics.summary(), bench.config.loop.rate_hz, self._burdens):
             found["advice"] = said
         if bench.real_time is not None:

@@ -32,6 +32,7 @@ class DeviceSet:
         sensors: the other devices by kind, in the order in which they are opened and read; devices that hold
             the robot (`DeviceKind.holds_robot`) are among them, and come first.
         lost: counts the time that this computer takes from the loop; None in virtual time.
+        opening_ns: begin and end of each device's opening by the bench clock, ns; empty before it.
         lowered_n: set-point of propellers that were lowered against a slide, N; inf where they were not.
     """
 
@@ -41,6 +42,7 @@ class DeviceSet:
     lost: LostTime | None = None
     disarm: Callable[[], None] = lambda: None
     lowered_n: float = math.inf
+    opening_ns: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def get(self, kind: str) -> Any:
         """The device of a kind; None if the bench has none."""
@@ -55,7 +57,9 @@ class DeviceSet:
         opened: list[Device] = []
         try:
             for device in self.devices():
+                begin_ns = self.clock.now_ns()
                 device.open()
+                self.opening_ns[device.name] = begin_ns, self.clock.now_ns()
                 opened.append(device)
         except BaseException:
             for device in reversed(opened):

@@ -7,7 +7,7 @@ from typing import Any
 
 from hil.bench.hold.held_state import untouched
 from hil.bench.injection import nothing_hit, was_missed
-from hil.bench.unreached_faults import not_begun, not_begun_in_words
+from hil.bench.unreached_faults import not_begun, not_met_in_words
 from hil.config.device_place import device_place
 from hil.core.call_chain import as_json, chain_of, place_of
 from hil.core.clock import NS_PER_S
@@ -102,8 +102,8 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
     missed: tuple[Fault, ...] = ()
     planned = source.planned_faults()
     if past is None:  # the world time that an interrupted run reached is not known
-        missed = not_begun(planned, benches.world_ns)
-    reported = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
+        missed = not_begun(planned, benches.world_ns) + (benches.too_early or ())
+    reported = [not_met_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
     known = "" if error is None else error.message
     header = source.header()
     calibration = header["calibration"] or {}
@@ -137,7 +137,7 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
-        "faults_not_begun": list(map(str, missed)),
+        "faults_not_met": list(map(str, missed)),
         "injected": _injected(planned, benches),
         "notes": findings.notes + context.results.set_again() + reported,
         "events": benches.left.events,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from hil.core.call_chain import keep_chain
 from hil.core.clock import NS_PER_S
 from hil.core.errors import DataError, HilError, RecordingError
+from hil.faults.fault import Fault
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.histories import Histories
 from hil.recording.mcap_writer import McapRecorder, OnFailure
@@ -62,6 +63,7 @@ class Driven:
         pressed: same as `pressed` of the bench.
         held: final report of the bench on the hold of the robot.
         tethered: True if the robot was on a tether.
+        too_early: same as `faults_too_early()` of the bench.
         world_ns, looked_ns, failed: same as `world_ns`, `looked_ns` and `lost` of the bench.
         histories: values for what every report shows by itself.
         events: events that the bench has seen, as rows of `hil.core.event_rows`.
@@ -75,6 +77,7 @@ class Driven:
     pressed: str
     held: Held
     tethered: bool
+    too_early: tuple[Fault, ...]
     world_ns: int
     looked_ns: int
     failed: tuple[str, ...]
@@ -102,7 +105,7 @@ def driven(sent: Sent[Any]) -> Driven:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), histories, [], "", None)
+        return Driven(None, refused, 0.0, "", bench.held, tethered, (), 0, 0, (), histories, [], "", None)
     for sink in (*(() if recorder is None else (recorder,)), *histories.sinks()):
         bench.add_sink(sink)
     try:
@@ -130,6 +133,7 @@ def driven(sent: Sent[Any]) -> Driven:
         bench.pressed,
         bench.held,
         tethered,
+        bench.faults_too_early(),
         bench.world_ns,
         bench.looked_ns,
         tuple(bench.lost),

@@ -13,6 +13,7 @@ from hil.config.robot_record.overlay import known_parts
 from hil.core.cross_check import CrossCheck
 from hil.core.errors import ConfigError, DataError, RecordingError
 from hil.core.registry import kinds
+from hil.faults.fault import Fault
 from hil.procedure import fit_history
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.final_hold import HoldRecord
@@ -126,6 +127,7 @@ class RunBenches:
         guard: guard that ends a loop that exceeds its time limit or after a signal.
         left: final hold reports of the closed benches.
         world_ns: time of the emulated world when its bench was closed, ns; the latest of several worlds.
+        too_early: faults that were over before the first cycle of every bench; None before the first bench.
         looked_ns: the same for the end of the check of the stopped robot.
         lost: messages about devices that ended runs of the loop.
         granted: parameters of the bench file, and what measurements said about them, by key.
@@ -146,6 +148,7 @@ class RunBenches:
         before, finished = (past.held, past.checkpoints) if past else ((), ())
         self.left = HoldRecord(results.journal, self.guard, before, finished)
         self.world_ns = self.looked_ns = 0
+        self.too_early: tuple[Fault, ...] | None = None
         self.lost: list[str] = []
         self.granted: dict[str, CrossCheck] = {}
         self.injected: list[dict[str, object]] = []
@@ -210,7 +213,7 @@ class RunBenches:
         return "; ".join(f"{name} was left out from {t_s:.2f} s on" for name, t_s in out.items())
 
     def _leave(self, bench: Bench) -> None:
-        self._came(bench.world_ns, bench.looked_ns)
+        self._came(bench.world_ns, bench.looked_ns, bench.faults_too_early())
         self.lost += bench.lost
         for row in bench.parameters.rows():
             if row.state != "unconfirmed" and not row.on:
@@ -221,7 +224,9 @@ class RunBenches:
         tethered = bench.config.safety.tethered
         self.left.add(self._bench_name, bench.held, bench.seen.rows(), tethered=tethered)
 
-    def _came(self, world_ns: int, looked_ns: int) -> None:
+    def _came(self, world_ns: int, looked_ns: int, too_early: tuple[Fault, ...]) -> None:
+        before = too_early if self.too_early is None else self.too_early
+        self.too_early = tuple(fault for fault in before if fault in too_early)
         self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
 
     def at_once(self, jobs: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
@@ -254,7 +259,7 @@ class RunBenches:
 
     def _take_over(self, found: Driven, name: str) -> None:
         self.guard.add(found.driven_s)
-        self._came(found.world_ns, found.looked_ns)
+        self._came(found.world_ns, found.looked_ns, found.too_early)
         self.lost += found.failed
         self._histories.follow(found.histories)
         if found.pressed and self.left.held is None:

@@ -60,14 +60,14 @@ def _not_held(item: pytest.Item, bench: Bench) -> list[str]:
 
 def _vacuous(item: pytest.Item, bench: Bench) -> list[str]:
     own = faults_of(item)
-    missed = [fault for fault in bench.faults_not_begun() if fault in own]
+    missed = [fault for fault in bench.faults_not_met() if fault in own]
     if idle := [fault for fault in bench.faults_without_effect() if fault in own]:
         return [f"the test has passed without what it is about: {nothing_hit(idle)}"]
     if not missed:
         return []
     error = UsageError(
-        f"the test has passed without what it is about: {bench.not_begun_in_words(missed)}",
+        f"the test has passed without what it is about: {bench.not_met_in_words(missed)}",
         expected="a time `at` within the test, in seconds since the world began",
-        remedy="begin earlier, or drive or observe for longer",
+        remedy="let it act while the test drives or observes",
     )
     return [str(error)]

@@ -97,7 +97,7 @@ class _Row(_Part):
     case: str
     verdict: str
     measurements: dict[str, _Measured]
-    faults_not_begun: list[str] = []
+    faults_not_met: list[str] = []
 
     @property
     def good(self) -> bool:
@@ -112,7 +112,7 @@ class _Row(_Part):
     @property
     def tested(self) -> bool:
         """Whether the run has a result and all its faults have acted."""
-        return not (self.lost or self.faults_not_begun)
+        return not (self.lost or self.faults_not_met)
 
     def value(self, name: str) -> float | None:
         """Return the value of a measurement; None without a value."""
@@ -136,7 +136,7 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
     Returns:
         JSON values: `procedure`, `folders`, `differences` (option, file or package, and its values in both;
         None if not known), `cases` (in both), `only_first`, `only_second`, `not_tested` (cases in both where
-        one run was LOST or one of its faults never acted: they are left out below), `lost` (those of them
+        one run was LOST or no cycle met one of its faults: they are left out below), `lost` (those of them
         where one run was LOST), `verdicts` (cases that only one passed, with the p value of the exact McNemar
         test), `measurements`: unit, number of pairs (cases with a value in both) `of` all cases, medians,
         mean difference (second minus first) with its 95 % interval (Student's t), p value of the Wilcoxon
@@ -235,7 +235,7 @@ def campaigns_text(table: Mapping[str, Any]) -> str:
     """Return the comparison as text for a terminal."""
     one, two = table["verdicts"]["good"]
     untested, lost = len(table["not_tested"]), len(table["lost"])
-    why = ", ".join(["a fault never acted"] * (untested > lost) + [f"{lost} {LOST}"] * bool(lost))
+    why = ", ".join(["no control cycle met a fault"] * (untested > lost) + [f"{lost} {LOST}"] * bool(lost))
     left_out = f", {untested} NOT TESTED ({why}) are left out" if untested else ""
     lines = [
         f"{table['procedure']}: {table['cases']} cases in both{left_out}; good: {one} and then {two} "

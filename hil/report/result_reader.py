@@ -3,6 +3,7 @@
 A results folder may come from an untrusted source, so files that it names are used only if they lie inside.
 """
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hil.core.errors import DataError
 from hil.core.path_hints import meant
-from hil.core.result_names import PASSED, RESULT, RESULT_SCHEMA
+from hil.core.result_names import JOURNAL, PASSED, RESULT, RESULT_SCHEMA
 from hil.support.file_reading import read_json
 
 _SHOWN = 5
@@ -141,7 +142,7 @@ class _Result(_Part):
     virtual_time: bool = False
     seed: int | None = None
     faults: list[str] = []
-    faults_not_begun: list[str] = []
+    faults_not_met: list[str] = []
     injected: list[_Injected] = []
     parameters: dict[str, Any] = {}
     config: dict[str, Any] = {}
@@ -179,7 +180,9 @@ def read_result(folder: Path) -> dict[str, Any]:
     path = folder / RESULT
     remedy = "name a results folder of hil run"
     if not path.is_file() and folder.exists():
-        raise DataError(str(folder), f"holds no {RESULT}", remedy=meant(folder) or remedy)
+        raise _unfinished(folder) or DataError(
+            str(folder), f"holds no {RESULT}", remedy=meant(folder) or remedy
+        )
     tree = read_json(path, remedy=remedy)
     try:
         found: dict[str, Any] = _Result.model_validate(tree).model_dump(by_alias=True)
@@ -196,6 +199,20 @@ def read_result(folder: Path) -> dict[str, Any]:
             remedy="it was damaged or changed by hand; run it again",
         )
     return found
+
+
+def _unfinished(folder: Path) -> DataError | None:
+    """The error for the folder of a run that is still running or was killed; None for another folder."""
+    from hil.report.history.index import in_use
+
+    if not (folder / JOURNAL).is_file():
+        return None
+    if in_use(folder):
+        return DataError(str(folder), f"is of a run that is still running: it has no {RESULT} yet")
+    remedy = f"`hil run PROCEDURE --out {shlex.quote(str(folder))} --resume` continues it"
+    if recordings := sorted(folder.glob("*.mcap")):
+        remedy += f"; `hil replay {shlex.quote(str(recordings[0]))}` shows what was recorded until then"
+    return DataError(str(folder), f"is of a run that was killed: it has no {RESULT}", remedy=remedy)
 
 
 def contradiction(result: Mapping[str, Any]) -> str:

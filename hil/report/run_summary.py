@@ -17,8 +17,9 @@ _NAMED = 3
 
 
 def sentence(tree: Mapping[str, Any]) -> str:
-    """Return a summary: the error that ended the run early, else the procedure's headline and its limits.
+    """Return a summary: the errors that decide the verdict, else the procedure's headline and its limits.
 
+    These are the one that ended the run early, or those of its end, such as a robot that is not held.
     Without a headline the values are listed, those nearest to their limits first.
 
     Args:
@@ -27,6 +28,9 @@ def sentence(tree: Mapping[str, Any]) -> str:
     if tree["error"]:
         where = "after" if tree["error"].get("finished") else "in"
         return f"The run ended early, {where} “{tree['error']['step']}”: {tree['error']['message']}"
+    if tree["teardown_errors"]:
+        errors = [f"in “{error['step']}”: {error['message']}" for error in tree["teardown_errors"]]
+        return f"The run did not end well, {'; '.join(errors)}"
     own, rows = str(tree.get("headline") or ""), tree["measurements"]
     if not rows:
         return f"{own} Nothing was measured.".strip()

@@ -121,11 +121,18 @@ def compare(
 
     Raises:
         UsageError: the bench lacks one of the two, or has it as a real device.
-        DataError: recordings without velocity register, or without even motion.
+        DataError: recordings of a twist or without velocity register, or without even motion.
         SafetyStop, DeviceError: the emulated robot was stopped.
     """
     for one in recordings:
-        if not one.has_rates or one.of_twist:
+        if one.of_twist:
+            raise DataError(
+                one.sources[0],
+                "gives a twist, and a twist cannot be compared: what is compared is measured at the wheels",
+                expected="wheel angles and rates ([wheels] of --topics)",
+                remedy="`hil replay RECORDING --topics FILE` compares a twist with the ground truth",
+            )
+        if not one.has_rates:
             raise DataError(one.sources[0], "has no velocity register of the wheels", expected="wheel rates")
     settings = _settings(config, recordings)
     emulated = []

@@ -13,6 +13,8 @@ from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import SafetyStop
+from hil.core.registry import kinds
+from hil.faults.files import read_faults
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.declaration import Measurement, Procedure
 from hil.procedure.runner import RunOptions, run_procedure
@@ -81,6 +83,28 @@ def test_who_is_in_the_servos_world_does_without_the_others(monkeypatch):
     assert "N by the fan's speed" in bench.held.why
     assert not bench.held.confirmed
     assert not [who for who in ("IMU", "camera", "load cells") if who in bench.held.why]
+
+
+@pytest.mark.parametrize(
+    ("blind", "fault"),
+    [("load_cells", "load_cells:jump,force_n=20"), ("adhesion", "adhesion:wrong,factor=1.3")],
+)
+def test_forces_of_two_worlds_are_not_compared(monkeypatch, blind, fault):
+    """What contradicts in one world stops the robot, and is another robot's force in the other."""
+    faults = read_faults((fault,))
+    with (
+        pytest.raises(SafetyStop, match="adhesion"),
+        mixed(monkeypatch, faults=faults, overrides=BRIEFLY) as bench,
+    ):
+        bench.drive(HOP, hold_s=0.3)
+    with mixed(monkeypatch, blind, faults=faults) as bench:
+        motion = bench.drive(HOP, hold_s=0.3)
+    assert motion.mocap[-1, 0] == pytest.approx(0.06, abs=0.01)
+    assert bench.held.state == "HELD"
+    assert not bench.held.confirmed
+    (said,) = [one for one in bench.warnings if "force" in one and "another world" in one]
+    assert said.startswith(kinds()[blind].noun)
+    assert not {"load_cells.zero_n", "adhesion.rated_force_n"} & {*bench.seen.contradicting}
 
 
 def test_motion_capture_of_another_world_does_not_say_where_the_robot_stands(monkeypatch):

@@ -123,7 +123,7 @@ def test_a_lost_robot_is_an_error_where_it_matters(monkeypatch, real, wire, faul
         config=SimpleNamespace(name="lab"),
         held=Held("NOT HELD", None, "it fell"),
         faults=faults,
-        faults_not_begun=tuple,
+        faults_not_met=tuple,
         faults_without_effect=tuple,
         world=None if wire else SimpleNamespace(faults=SimpleNamespace(touched=bool(faults))),
     )
@@ -141,7 +141,7 @@ def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
     monkeypatch.setattr(test_outcome, "source_of", lambda _: tested.source)
     held = Held("NOT HELD", None, "torque was released, as exit.policy asks", wanted=False)
     test_outcome.end(
-        tested, SimpleNamespace(held=held, faults_not_begun=tuple, faults_without_effect=tuple), passed=True
+        tested, SimpleNamespace(held=held, faults_not_met=tuple, faults_without_effect=tuple), passed=True
     )
     assert tested.user_properties == [("held", "NOT HELD")]
 
@@ -155,6 +155,11 @@ import hil
 @pytest.mark.fault("imu", "off", at=1000)
 @pytest.mark.fault("imu", "stuck", at=0.1)
 def test_too_short(bench):
+    bench.observe(0.1)
+
+@pytest.mark.fault("imu", "silent", at=1, duration=1)
+def test_too_late(bench):
+    bench.clock.sleep_until_ns(3_000_000_000)
     bench.observe(0.1)
 
 @pytest.mark.fault("imu", "off", at=1000)
@@ -200,6 +205,8 @@ def test_a_fault_that_has_no_part_in_its_test_is_an_error(pytester):
     said = result.stdout.str()
     for line in (
         "ERROR at teardown of test_too_short",
+        "ERROR at teardown of test_too_late",
+        "*fault imu:silent@1+1 was over before the first control cycle*",
         "*fault imu:off@1000 never acted*",
         "*marker fault for imu:off@0: the test does not use the fixture `bench`*",
         "*marker fault('imu', 'offf')*did you mean off?",
@@ -210,7 +217,7 @@ def test_a_fault_that_has_no_part_in_its_test_is_an_error(pytester):
     assert "at teardown of test_that" not in said
     reports, _, _ = said.partition("short test summary info")  # where CI is set, it quotes each error in full
     assert reports.count("does not use the fixture") == 2
-    result.assert_outcomes(passed=3, failed=1, skipped=1, errors=6)
+    result.assert_outcomes(passed=4, failed=1, skipped=1, errors=7)
 
 
 @pytest.mark.parametrize("given", ["-1", ""])

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 from contextlib import suppress
+from html import unescape
 
 import pytest
 
@@ -57,7 +58,13 @@ def test_a_result_says_whether_the_robot_is_held(tmp_path, faults, state, verdic
     assert said in tree["held"]["why"]
     assert result.exit_code == (0 if verdict == "PASS" else 3)
     assert (tree["held"]["moved_m"] > 0.003) == any(fault.startswith("servos:") for fault in faults)
-    assert state in write_run_page(tmp_path / "run").read_text()
+    page = write_run_page(tmp_path / "run").read_text()
+    assert state in page
+    for error in tree["teardown_errors"]:
+        assert error["message"] in tree["said"]
+        assert error["message"] in unescape(page).partition('class="lead"')[2].partition("</p>")[0]
+        assert error["message"] in text_of(result).splitlines()[-2]
+    assert bool(tree["teardown_errors"]) == (verdict == "ERROR")
     (note,) = (
         n
         for n in RecordingReader(tmp_path / "run" / "recording.mcap").items()
@@ -76,7 +83,7 @@ def stands(ctx):
 def test_a_fault_that_the_run_ended_before_is_named(tmp_path, caplog, missed):
     source = BenchSource("emulated_floor", faults=read_faults(("tracker:stuck@0.6+0.1", *missed)))
     result, reported = ran(tmp_path / "run", stands, source)
-    assert (result.exit_code, reported["faults_not_begun"]) == (0, missed)
+    assert (result.exit_code, reported["faults_not_met"]) == (0, missed)
     notes = [note for note in reported["notes"] if "never acted" in note]
     assert len(notes) == len(missed)
     assert "is left" not in caplog.text
@@ -85,6 +92,33 @@ def test_a_fault_that_the_run_ended_before_is_named(tmp_path, caplog, missed):
     if missed:
         assert "fault imu:off@1000 never acted: the bench was closed at " in notes[0]
         assert "imu:off@1000 never acted" in write_run_page(tmp_path / "run").read_text()
+
+
+@procedure(name="waits", needs=("servos",), measurements=())
+def waits(ctx):
+    """Looks on for a moment, some seconds after the bench was opened."""
+    ctx.bench.clock.sleep_until_ns(ctx.bench.clock.now_ns() + 3_000_000_000)
+    ctx.bench.observe(0.5, feedback="odometry")
+
+
+@pytest.mark.parametrize(
+    ("fault", "met"),
+    [
+        ("tracker:silent@1+1", False),
+        ("servo.steer_FL:drop@1+1", False),
+        ("tracker:silent@1+4", True),
+        ("tracker:silent@3.6+0.1", True),
+        ("servos:delayed@0+0.4,delay_s=0.01", True),
+        ("imu:silent@0.01+0.2", True),
+    ],
+)
+def test_a_fault_that_was_over_before_the_first_cycle_is_named(tmp_path, fault, met):
+    """One that acted while its device was opened has been met by the opening."""
+    result, reported = ran(
+        tmp_path / "run", waits, BenchSource("emulated_floor", faults=read_faults((fault,)))
+    )
+    assert (result.exit_code, reported["faults_not_met"]) == (0, [] if met else [fault])
+    assert any("before the first control cycle" in note for note in reported["notes"]) != met
 
 
 STANDS = """

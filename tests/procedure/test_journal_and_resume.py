@@ -156,6 +156,13 @@ def test_after_kill_9_the_command_line_resumes(tmp_path, capsys, warm_commands):
     words = ["run", str(script), "--bench", "sensors", "--out", str(tmp_path / "out"), "--json"]
     first = subprocess.run([sys.executable, "-m", "hil.cli", *words], capture_output=True, timeout=600)
     assert first.returncode == -signal.SIGKILL
+    (tmp_path / "out" / "recording.mcap").touch()
+    assert main(["report", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'out'}: is of a run that was killed" in said
+    assert f"--out {tmp_path / 'out'} --resume" in said
+    assert f"hil replay {tmp_path / 'out' / 'recording.mcap'}" in said
+    (tmp_path / "out" / "recording.mcap").unlink()
     assert main([*words, "--resume"]) == 0
     tree = json.loads(capsys.readouterr().out)
     assert tree["verdict"] == "PASS"

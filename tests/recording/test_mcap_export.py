@@ -163,6 +163,16 @@ def test_a_mapping_that_does_not_fit_names_what_is_there(recording, tmp_path, ol
     assert caught.value.path == str(recording)
 
 
+@pytest.mark.parametrize(("name", "way"), [("x.tum", "--trajectories"), ("x.json", "")])
+def test_an_ending_that_is_no_table_names_those_that_are(recording, tmp_path, name, way):
+    words = [str(recording), "--out", str(tmp_path / name)]
+    refused = CliRunner().invoke(command, words, standalone_mode=False).exception
+    assert isinstance(refused, UsageError)
+    for ending in (".csv", ".parquet", way):
+        assert ending in str(refused)
+    assert not (tmp_path / name).exists()
+
+
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_nothing_but_an_earlier_export_is_written_over(recording, tmp_path, kind):
     out = tmp_path / f"table.{kind}"

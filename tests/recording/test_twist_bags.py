@@ -233,6 +233,8 @@ def test_joints_and_a_twist_exclude_each_other(tmp_path):
 def test_there_are_no_wheels_to_calibrate(bag, tmp_path, capsys):
     assert main(["calibrate", str(bag), "--topics", str(mapping(tmp_path))]) == 2
     assert "a twist, and no wheels" in capsys.readouterr().err
+    assert main(["twin", "compare", str(bag), "--topics", str(mapping(tmp_path))]) == 2
+    assert "a twist cannot be compared" in capsys.readouterr().err
     assert main(["export", str(bag), "--topics", str(mapping(tmp_path))]) == 2
     assert "--trajectories" in capsys.readouterr().err
     assert main(["evaluate", str(bag), "--topics", str(mapping(tmp_path)), "--json"]) == 0

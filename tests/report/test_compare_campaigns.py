@@ -104,7 +104,7 @@ def test_lost_cases_are_no_failures_and_are_left_out(tmp_path, capsys):
     first, second = campaign(tmp_path / "one", whole), campaign(tmp_path / "two", holes)
     path = tmp_path / "one" / "campaign.json"
     tree = json.loads(path.read_text())
-    tree["rows"][0]["faults_not_begun"] = ["imu:off@500"]
+    tree["rows"][0]["faults_not_met"] = ["imu:off@500"]
     path.write_text(json.dumps(tree))
     assert main(["report", first, second, "--json"]) == 0
     table = json.loads(capsys.readouterr().out)

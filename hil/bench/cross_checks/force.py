@@ -37,7 +37,7 @@ def force_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
     yield own
     if own.state == "confirmed" and (rpm_per_v := getattr(fan, "rpm_per_v", None)) is not None:
         yield CrossCheck("adhesion.rpm_per_v", rpm_per_v, "confirmed", own.by, rpm_per_v, own.difference)
-    if own.state != "contradicted" and steady:
+    if own.state != "contradicted" and steady and not config.force_sensor_elsewhere():
         yield from _by_cells(config, fan, seen, middle.speed_rpm)
 
 

@@ -57,10 +57,12 @@ class MeasuredForces:
         """(measurement, time in ns, force in N) of each usable sample of the kinds in `MEASURES`."""
         for sample in samples:
             if isinstance(sample, LoadCellSample):
+                if self._limits.zero_n is None:
+                    continue
                 force_n = self._limits.cells_n(sample)
                 if worst(sample) is Status.OK and math.isfinite(force_n):
                     yield CELLS, sample.stamp.t_ns, force_n
-            elif self.fan.take(sample):
+            elif self._limits.has_fan and self.fan.take(sample):
                 for name, force_n in self.fan.forces_n.items():
                     yield name, sample.stamp.t_ns, force_n
 

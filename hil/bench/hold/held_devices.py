@@ -12,12 +12,12 @@ from hil.bench.hold.force_schedule import by_need
 from hil.bench.hold.held_state import Held, untouched
 from hil.bench.hold.hold_check import HoldMonitor
 from hil.bench.hold.preload import Preload
-from hil.bench.injection import Injection
+from hil.bench.injection import Injection, real_device
 from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.pipelines import BenchModel
 from hil.bench.reconnect import reconnecting
 from hil.bench.seen_events import SeenEvents
-from hil.bench.unreached_faults import not_begun, not_begun_in_words
+from hil.bench.unreached_faults import ended_before, not_begun, not_met_in_words
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
 from hil.core.interfaces import HELD_NOTE, Sink
@@ -62,6 +62,7 @@ class HeldDevices:
         self.stopped_by = ""
         self._begun_ns: int | None = None
         self._clock_description: dict[str, object] | None = None
+        self._open_ns: int | None = None
         self._closed_ns: int | None = None
         self._looked_ns: int | None = None
         self.pressed = ""
@@ -90,6 +91,7 @@ class HeldDevices:
             self._sinks += [*by_need(self.config, self.devices), *wheel_feed(self.model, self.devices)]
             if self.on_wall and self.devices.servos is not None:
                 self.devices.servos.enable()
+            self._open_ns = self.clock.now_ns()
         except BaseException:
             self.close()
             raise
@@ -171,13 +173,26 @@ class HeldDevices:
         """Faults in front of real devices that have begun and hit no message."""
         return self.injection.without_effect()
 
-    def faults_not_begun(self) -> tuple[Fault, ...]:
-        """Planned faults that had not begun when the bench was closed."""
-        return not_begun(self.faults, self.world_ns)
+    def faults_not_met(self) -> tuple[Fault, ...]:
+        """Planned faults that met no control cycle.
 
-    def not_begun_in_words(self, faults: Sequence[Fault]) -> str:
-        """One line about some of `faults_not_begun`."""
-        return not_begun_in_words(faults, self.world_ns, self.looked_ns)
+        They had not begun when the bench was closed; or, at emulated devices, they ended before the first
+        cycle and did not act while their device was opened.
+        """
+        return not_begun(self.faults, self.world_ns) + self.faults_too_early()
+
+    def faults_too_early(self) -> tuple[Fault, ...]:
+        """Those of `faults_not_met` that ended before the first cycle; none if there was no cycle."""
+        if self.seen.first_ns is None:
+            return ()
+        since = self._since_begun_ns
+        opening = {name: (since(a), since(b)) for name, (a, b) in self.devices.opening_ns.items()}
+        own = [fault for fault in self.faults if not real_device(self.config, fault)]
+        return ended_before(own, since(self.seen.first_ns), opening, since(self._open_ns))
+
+    def not_met_in_words(self, faults: Sequence[Fault]) -> str:
+        """One line about some of `faults_not_met`."""
+        return not_met_in_words(faults, self.world_ns, self.looked_ns)
 
     def on_close(self, callback: Callable[[], object]) -> None:
         """Register a callback that is called when the bench closes, after the devices."""

@@ -127,11 +127,11 @@ class AdhesionWatch(Check):
 
     def _take(self, inputs: Inputs, events: list[Event]) -> None:
         """Update the newest force by each sensor."""
-        for sample in inputs.load_cells:
+        for sample in inputs.load_cells if self._has_cells else ():
             if sample.status[0] is _OK and sample.status[1] is _OK:
                 self._cells_n, self._cells_ns = self.limits.cells_n(sample), sample.stamp.t_ns
                 self._cells_trend.follow(self._cells_ns, self._cells_n)
-        for fan in inputs.adhesion:
+        for fan in inputs.adhesion if self._has_fan else ():
             self._take_fan(fan, inputs.t_ns, events)
         for push in inputs.thrust:
             push_n = self.limits.push_n(push)
