@@ -41,7 +41,7 @@ from hil.robot.trajectories import line
 def run(ctx: Context) -> None:
     """Drive up slowly, for as long as asked."""
     start = enable_hold(ctx.bench)
-    with ctx.step("drive"):
+    with ctx.step("drive", timeout_s=2.0 * DURATION):
         motion = ctx.bench.drive(line(start, start + [0.5, 0.0, 0.0], duration_s=DURATION), feedback="ekf")
     ctx.measure("end_error", 1e3 * float(np.abs(motion.mocap[-1, 0] - start[0] - 0.5)))
 '''
