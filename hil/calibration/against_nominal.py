@@ -29,6 +29,8 @@ class AgainstNominal:
         result: errors of the result.
         on_motions: errors of fits without the motion itself, where these are worse than `result`.
         lever_m: distance of the wheels from the middle; a heading error counts at the wheels.
+        motions: motions that the errors are of.
+        lacking: kinds of motion of which every recording was left out: no error is of these.
     """
 
     on: str
@@ -36,6 +38,8 @@ class AgainstNominal:
     result: Row
     on_motions: Row | None
     lever_m: float
+    motions: tuple[str, ...] = ()
+    lacking: tuple[str, ...] = ()
 
     def _at_wheels_m(self, row: Row) -> float:
         return float(np.hypot(row[_POSITION], self.lever_m * row[_HEADING]))
@@ -66,6 +70,8 @@ class AgainstNominal:
             f"on {_KINDS[self.on]}: {word} nominal odometry{by} "
             f"({_errors(self.result)} against {_errors(self.nominal)})"
         )
+        if self.lacking:
+            line += f"; not of {', '.join(self.lacking)}, whose recordings are left out"
         if self.on_motions is None:
             return line
         return f"{line}; on {_KINDS['leave_one_motion_out']}: {_errors(self.on_motions)}"
@@ -74,6 +80,8 @@ class AgainstNominal:
         """Errors in m and rad; `on_unseen_motions` is None where they are not worse."""
         return {
             "on": self.on,
+            "motions": list(self.motions),
+            "lacking": list(self.lacking),
             "nominal": dict(self.nominal),
             "result": dict(self.result),
             "on_unseen_motions": None if self.on_motions is None else dict(self.on_motions),
@@ -91,7 +99,8 @@ def against_nominal(tables: Mapping[str, Table], nominal: Table, lever_m: float)
         lever_m: distance of the wheels from the middle, m.
     """
     on = next(name for name in _KINDS if tables.get(name))
-    found = AgainstNominal(on, _mean(nominal, tables[on]), tables[on]["mean"], None, lever_m)
+    of = tuple(motion for motion in tables[on] if motion != "mean")
+    found = AgainstNominal(on, _mean(nominal, tables[on]), tables[on]["mean"], None, lever_m, of)
     motions = tables.get("leave_one_motion_out")
     if not motions or on == "leave_one_motion_out":
         return found

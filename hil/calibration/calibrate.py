@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 from hil.calibration.against_nominal import AgainstNominal, against_nominal
+from hil.calibration.common_damage import check_what_is_left, lacking_motions
 from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.cross_validation import (
     Table,
@@ -16,6 +17,7 @@ from hil.calibration.cross_validation import (
     repetition_numbers,
     score,
     table_of,
+    unlike_repetitions,
 )
 from hil.calibration.evaluation import cost, track_all
 from hil.calibration.excitation import Driven, check_geometry, driven
@@ -31,7 +33,7 @@ from hil.core.geometry import Array
 from hil.datasets.fit_blocks import Blocks, reduce_recordings
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.wheel_log import Recording
-from hil.datasets.wrong_signs import LEAVE_OUT, NO_MOTION, contradictions, is_at_rest
+from hil.datasets.wrong_signs import NO_MOTION, contradictions, is_at_rest
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import WHOLE, Report, silent
 
@@ -107,6 +109,14 @@ class Calibration:
             f"These explain the recordings as well: {rivals}. On a metre they end up to {ways} away.",
         )
 
+    @cached_property
+    def failure(self) -> str:
+        """Why the result must not be used, but for one worse than nominal odometry; empty where it may be."""
+        if not self.explains:
+            return "the result does not explain the recordings"
+        damaged = [one.name for one in self.recordings if one.problems]
+        return f"damaged, and used as far as it can be read: {', '.join(damaged)}" if damaged else ""
+
     @property
     def driven(self) -> Driven:
         """Distance that the recordings drive in each direction."""
@@ -164,7 +174,7 @@ class Calibration:
             "validation": self.validation,
             "compared_with_nominal": self.compared.to_json(),
             "repeatability_m": {k: None if math.isnan(v) else v for k, v in self.floor.items()},
-            "verdict": "PASS" if self.explains and not self.compared.worse else "FAIL",
+            "verdict": "FAIL" if self.failure or self.compared.worse else "PASS",
             "warnings": list(self.warnings),
             "evaluations": self.evaluations,
             "wall_s": self.wall_s,
@@ -213,13 +223,11 @@ def calibrate(
     begin_ns = clock.now_ns()
     robot = nominal if nominal is not None else Nominal()
     bad = corrupt(recordings, robot)
-    if 2 * len(bad) > len(recordings):
-        name, why = next(iter(bad.items()))
-        raise DataError(
-            name, f"{why}; {len(bad)} of {len(recordings)} recordings are not usable", remedy=LEAVE_OUT
-        )
+    check_what_is_left(recordings, bad, unusable or {})
+    motions = {one.name: one.motion for one in recordings}
     recordings = [r for r in recordings if r.name not in bad]
     rejected = dict(unusable or {}) | bad
+    lacking = lacking_motions([one.motion for one in recordings], motions, rejected)
     if choice is None and validate and setting.choose_model and can_choose(recordings):
         choice = choose(recordings, candidates(setting, robot.geometry), report=report)
         setting, robot = choice.best.setting, replace(robot, geometry=choice.best.nominal)
@@ -255,10 +263,17 @@ def calibrate(
         cost_before=cost(before),
         cost_after=cost(after),
         validation=tables,
-        compared=against_nominal({"in_sample": applied.parameters} | tables, nothing, lever_m(cad)),
+        compared=replace(
+            against_nominal({"in_sample": applied.parameters} | tables, nothing, lever_m(cad)),
+            lacking=tuple(lacking),
+        ),
         floor=repeatability(recordings),
         recordings=tuple(recordings),
-        warnings=(*left_out_because(rejected), *caveats(recordings, found, spectrum, paper, tables, applied)),
+        warnings=(
+            *left_out_because(rejected),
+            *unlike_repetitions(before, lever_m(cad)),
+            *caveats(recordings, found, spectrum, paper, tables, applied),
+        ),
         evaluations=evaluations,
         wall_s=(fitted_ns - chosen_ns) / NS_PER_S,
         validation_s=(clock.now_ns() - fitted_ns + chosen_ns - begin_ns) / NS_PER_S,

@@ -18,6 +18,7 @@ from hil.robot.kinematics import WheelGeometry
 
 Table = dict[str, dict[str, float]]
 _NEAR_START_M = 0.1
+_UNLIKE, _TIMES_USUAL, _ROWS = 0.01, 6.0, 20
 _KEYS = ("rmse_position_m", "rmse_theta_rad", "final_position_m")
 
 
@@ -128,18 +129,75 @@ def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:
 
     Only repetitions with similar end points count together: a line driven in reverse ends elsewhere.
     """
-    alike: dict[str, list[list[Array]]] = {}
-    for r in recordings:
-        c, s = np.cos(r.truth_pose[0, 2]), np.sin(r.truth_pose[0, 2])
-        moved = r.truth_pose[-1, :2] - r.truth_pose[0, :2]
-        end = np.array([c * moved[0] + s * moved[1], -s * moved[0] + c * moved[1]])
-        ways = alike.setdefault(r.motion, [])
-        same = next((ends for ends in ways if _go_alike(end, ends[0])), None)
-        if same is None:
-            ways.append([end])
+    ends = [_end_m(r.truth_pose) for r in recordings]
+    groups = _alike(recordings)
+    return {
+        motion: _spread(
+            [[ends[k] for k in group] for group in groups if recordings[group[0]].motion == motion]
+        )
+        for motion in dict.fromkeys(r.motion for r in recordings)
+    }
+
+
+def unlike_repetitions(runs: Sequence[Track], lever_m: float) -> list[str]:
+    """One line for each group of repetitions of which one ends elsewhere than its wheels and the others say.
+
+    Wheel parameters, right or wrong, give repetitions of a motion the same error. Its deviation from their
+    median counts from 10 mm per metre of the path on, and from six times the median deviation of all on.
+    Of two repetitions nothing tells which one is wrong.
+
+    Args:
+        runs: odometry of the recordings.
+        lever_m: distance of the wheels from the middle, at which turns count.
+    """
+    groups = [group for group in _alike([run.recording for run in runs]) if len(group) > 1]
+    errors = [_error_by_metre(run, lever_m) for run in runs]
+    off = {
+        k: float(np.linalg.norm(errors[k] - np.median([errors[i] for i in group], axis=0)))
+        for group in groups
+        for k in group
+    }
+    usual = float(np.median(list(off.values()))) if off else np.inf
+    out = []
+    for group in groups:
+        far = [k for k in group if off[k] > max(_UNLIKE, _TIMES_USUAL * usual)]
+        if far:
+            names = ", ".join(runs[k].recording.name for k in (far if len(group) > 2 else group))
+            out.append(
+                f"{names}: repetitions that do not agree, by {1e3 * max(off[k] for k in far):.0f} mm per "
+                f"metre between wheels and ground truth (typical: {1e3 * usual:.1f}): a fault that no check "
+                "names, or slip; record the motion again, or leave out the one that is wrong"
+            )
+    return out
+
+
+def _error_by_metre(run: Track, lever_m: float) -> Array:
+    """Last error (3,) in the frame of the first pose, with turns at the wheels, per metre of the path."""
+    along = np.abs(np.diff(run.truth[::_ROWS], axis=0))
+    way_m = float(np.hypot(along[:, 0], along[:, 1]).sum() + lever_m * along[:, 2].sum())
+    x, y, turn = run.error[-1]
+    c, s = np.cos(run.truth[0, 2]), np.sin(run.truth[0, 2])
+    return np.array([c * x + s * y, c * y - s * x, lever_m * turn]) / max(way_m, _NEAR_START_M)
+
+
+def _alike(recordings: Sequence[Recording]) -> list[list[int]]:
+    """Indices of recordings of one motion with similar end points, by group."""
+    ends, groups = [_end_m(r.truth_pose) for r in recordings], list[list[int]]()
+    for k, one in enumerate(recordings):
+        for group in groups:
+            if recordings[group[0]].motion == one.motion and _go_alike(ends[k], ends[group[0]]):
+                group.append(k)
+                break
         else:
-            same.append(end)
-    return {motion: _spread(ways) for motion, ways in alike.items()}
+            groups.append([k])
+    return groups
+
+
+def _end_m(pose: Array) -> Array:
+    """Last position (2,) of poses (n, 3), in the frame of the first one."""
+    c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
+    x, y = pose[-1, :2] - pose[0, :2]
+    return np.array([c * x + s * y, c * y - s * x])
 
 
 def _go_alike(end: Array, other: Array) -> bool:

@@ -74,8 +74,9 @@ def command(
 
     A result that does not explain the recordings, or that is worse than nominal odometry on recordings that
     the fit has not seen, is not written, and the exit code is 1. Corrupt recordings
-    are named and left out. A damaged one is used as far as it can be read, one that cannot be used is left
-    out, and the exit code is 2.
+    are named and left out, as are those that cannot be read. Where they are half of the set, or every one of
+    a kind of motion, the set is refused with exit code 2. With a damaged recording, used as far as it can be
+    read, nothing is written, and the exit code is 2.
 
     Example: hil calibrate recordings/ --out calibration.toml
     """
@@ -108,18 +109,16 @@ def command(
             unusable=unusable,
             report=report,
         )
-    failed = _failed(result, accept_worse)
+    failed = result.failure or _worse(result, accept_worse)
     _write(result, failed, out, plots, config)
     click.echo(json.dumps(result.to_json(), allow_nan=False) if as_json else _text(result))
-    if failed:
-        return EXIT_LIMIT_FAILED
-    return EXIT_USAGE if unusable or any(r.problems for r in recordings) else EXIT_PASS
+    if any(one.problems for one in result.recordings):
+        return EXIT_USAGE
+    return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 
-def _failed(result: Calibration, accept_worse: bool) -> str:
-    """Why the result is not to be written; empty where it is."""
-    if not result.explains:
-        return "the result does not explain the recordings"
+def _worse(result: Calibration, accept_worse: bool) -> str:
+    """What a result that is worse than nominal odometry is not written for; empty where it may be."""
     if result.compared.worse and not accept_worse:
         return f"{result.compared.in_words()}; --accept-worse writes it all the same"
     return ""

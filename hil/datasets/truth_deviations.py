@@ -16,6 +16,7 @@ from hil.datasets.truth_moves import DRIFT, SKEW, SMOOTHED, UNEVEN
 STDS, SCALE_STD = 4.0, 0.012
 _SMOOTHED_S2, _SMOOTHED_STD_S2 = 0.15**2, 0.07**2
 _DRIFT_RAD_S, _DRIFT_STD_RAD_S, _SKEW, _SKEW_STD = 1.5e-3, 2.5e-3, 0.01, 0.01
+_TURNS, _TURNS_STD, _CLEARLY = 0.015, 0.02, 4.0
 _UNEVEN_S, _UNEVEN_STDS = 0.04, 2.0
 _WHEEL_S, _WHEEL_STD_S, _WHEEL_ALONE_STD_S = 0.03, 0.1, 0.03
 _DRIFT_ALONE_RAD_S, _SKEW_ALONE, _SCALE_ALONE = 2e-3, 0.015, 0.04
@@ -49,6 +50,17 @@ def beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
         _common(known, SKEW, _SKEW, _SKEW_STD),
         _common(known, DRIFT, _DRIFT_RAD_S, _DRIFT_STD_RAD_S),
     )
+    further = _turns_further(known)
+    if further and drift_rad_s.any():
+        steady, by_turn = _drift_misfits(known, float(drift_rad_s[0]))
+        further = 0.0 if by_turn > _CLEARLY * steady else further
+        drift_rad_s = np.zeros(1) if steady > _CLEARLY * by_turn else drift_rad_s
+    if further:
+        out.append(
+            f"the heading of its ground truth turns {1.0 / (1.0 - further):.3f} times as far as its path "
+            "(curves and circles of the set): theta has another scale; its wheels' distances would take the "
+            "error up. Look at the unit of theta and at how it is computed"
+        )
     if skew.any():
         out.append(
             f"lengths in its ground truth depend on their direction, by {200 * np.linalg.norm(skew):.1f} % "
@@ -61,6 +73,29 @@ def beyond(known: Sequence[TruthFit]) -> tuple[str, ...]:
             "at rest as well; look at what gives the heading (a gyroscope, markers that come loose)"
         )
     return tuple(out)
+
+
+def _turns_further(known: Sequence[TruthFit]) -> float:
+    """Share of its turns by which the heading turns further than the path; 0 where they agree.
+
+    In a turn on the spot there is no path, and the wheels' distances explain another scale as well.
+    """
+    shares = [
+        (complex(fit.heading_beyond_path), fit.causes[DRIFT].std / abs(fit.turns_rad_s))
+        for fit in known
+        if fit.turns_rad_s
+    ]
+    return significant(shares, _TURNS, _TURNS_STD).real
+
+
+def _drift_misfits(known: Sequence[TruthFit], steady_rad_s: float) -> tuple[float, float]:
+    """Squared misfit of the drifts by a steady one, and by one in proportion to the turns of each path."""
+    drift, std, turns = np.array(
+        [(fit.causes[DRIFT].values[0], fit.causes[DRIFT].std, fit.turns_rad_s) for fit in known]
+    ).T
+    share = float((drift * turns / std**2).sum() / (turns**2 / std**2).sum())
+    misfits = [float((((drift - by) / std) ** 2).sum()) for by in (steady_rad_s, share * turns)]
+    return misfits[0], misfits[1]
 
 
 def _transient(known: Sequence[TruthFit]) -> str:

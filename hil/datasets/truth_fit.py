@@ -62,6 +62,8 @@ class TruthFit:
         direction: complex values a, b, c: with a known tracked point x + iy the ground truth moves in the
             direction a + b x + c y beside that of the wheels.
         direction_std_rad: standard error of that direction.
+        turns_rad_s: mean rate at which the ground truth turns along a path; 0 where it turns on the spot.
+        heading_beyond_path: share of its turns by which the heading turns further than the path.
         causes: further causes by name, see `hil.datasets.truth_moves.Drive.causes`.
     """
 
@@ -76,6 +78,8 @@ class TruthFit:
     scale_std: float
     direction: tuple[complex, complex, complex]
     direction_std_rad: float
+    turns_rad_s: float
+    heading_beyond_path: float
     causes: Mapping[str, Cause]
 
     def heading_with(self, centre_m: complex) -> float:
@@ -132,6 +136,8 @@ def _found(recording: Recording) -> TruthFit | None:
         abs(turned[0]),
         float(std[2]),
         *_direction(rows, wanted, drive.overlap),
+        drive.turns_rad_s,
+        drive.heading_beyond_path(late_s, fast),
         causes,
     )
 

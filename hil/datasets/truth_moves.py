@@ -98,6 +98,26 @@ class Drive:
         return np.concatenate([self.way.real, self.way.imag, self.lever_m * self.turn])
 
     @property
+    def turns_rad_s(self) -> float:
+        """Mean rate, by path, at which the body turns along it; 0 where it turns on the spot."""
+        way_m, lasts_s = np.abs(self.way), self.end_s - self.begin_s
+        if way_m.sum() <= self.lever_m * np.abs(self.turn).sum():
+            return 0.0
+        return float(way_m @ self.turn) / max(float(way_m @ lasts_s), _LEAST)
+
+    def heading_beyond_path(self, late_s: float, fast: float) -> float:
+        """Change of the heading against the direction of the path, by turn; the wheels say how they differ.
+
+        On a curve it is 0 whatever the distances of the wheels; 0 also where the body turns on the spot.
+        """
+        if self.turns_rad_s == 0.0:
+            return 0.0
+        beside = np.conj(self.way) * self._moves(late_s, fast)[0]
+        weight = np.abs(beside) / max(float(np.abs(beside).sum()), _LEAST)
+        angle, since = np.angle(beside * np.conj(beside.sum())), self.heading - weight @ self.heading
+        return float((weight * since) @ angle) / max(float((weight * since) @ since), _LEAST)
+
+    @property
     def overlap(self) -> float:
         """Number of moves that overlap."""
         return max(1.0, WINDOW_S / float(np.median(np.diff(self.begin_s, append=self.end_s[-1]))))

@@ -1,19 +1,27 @@
 """Sets with one injected fault: each is refused with its cause, or the figure is right."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hil.calibration.evaluation import position_rmse, track
+from hil.calibration.calibrate import calibrate
+from hil.calibration.cross_validation import unlike_repetitions
+from hil.calibration.evaluation import position_rmse, track, track_all
+from hil.calibration.problem import RECOMMENDED
 from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS, hidden_robot, make_set
 from hil.cli import main
+from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.plain_csv import write_plain
+from hil.datasets.read import read_recordings
 from hil.datasets.truth_correction import corrected, notes_of
 from hil.datasets.wheel_log import build_recording
 from hil.robot.kinematics import WheelGeometry
+from tests.calibration.spoilt_sets import make_drives
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +75,11 @@ def averaged(over_s):
     return spoil
 
 
+def heading_times(factor):
+    """The heading has another scale."""
+    return lambda one: replace(one, truth_pose=one.truth_pose * (1.0, 1.0, factor))
+
+
 ALL = {f"{motion}_{k}" for motion in (*MOTIONS, "arc") for k in (1, 2)}
 SHOWN = {name for name in ALL if name.endswith("_2") and not name.startswith("rotation")}
 """Recordings whose heading matters: turns on the spot go nowhere."""
@@ -83,8 +96,15 @@ SHOWN = {name for name in ALL if name.endswith("_2") and not name.startswith("ro
         (wheel_late(2, -0.3), "columns of the BR wheel", ALL),
         (averaged(1.0), "smoother than the motion of the wheels", ALL),
         (averaged(0.3), "", set()),
+        (heading_times(1.1), "turns 1.10", ALL),
+        (heading_times(1.04), "turns 1.04", ALL),
+        (heading_times(0.95), "turns 0.95", ALL),
+        (heading_times(1.01), "", set()),
     ],
-    ids=["turned 0.02", "turned 0.05", "turned -0.2", "off centre", "FL late", "BR early", "1 s", "0.3 s"],
+    ids=[
+        *("turned 0.02", "turned 0.05", "turned -0.2", "off centre", "FL late", "BR early", "1 s", "0.3 s"),
+        *("theta 1.1", "theta 1.04", "theta 0.95", "theta 1.01"),
+    ],
 )
 def test_a_fault_is_refused_with_its_cause_or_the_figure_is_right(healthy, spoil, cause, named):
     """A body turned back is the second repetitions' or, by the smaller heading, that of the first ones."""
@@ -176,3 +196,88 @@ def test_a_column_that_holds_another_quantity_is_named(healthy, spoil, motions, 
         wheels = Log(one.t_s, np.column_stack([one.wheel_angle_rad, steering]))
         with pytest.raises(DataError, match=named):
             build_recording(one.name, wheels, Log(one.truth_t_s, pose), motion=one.motion)
+
+
+PAIRS = make_drives(323)
+"""Eight good recordings of four motions; those of the turn on the spot are both ccw."""
+
+
+def stuck(one):
+    """The second wheel's angle leaps in the middle of the drive."""
+    angle = one.angle.copy()
+    angle[len(angle) // 2 :, 1] += 40.0
+    return replace(one, angle=angle)
+
+
+def moved(one):
+    """The body of the ground truth is 0.3 m off."""
+    c, s = np.cos(one.truth[:, 2]), np.sin(one.truth[:, 2])
+    return replace(one, truth=one.truth + 0.3 * np.column_stack([c, s, 0.0 * c]))
+
+
+def leaps(one):
+    truth = one.truth.copy()
+    truth[len(truth) // 2 :, :2] += 0.2
+    return replace(one, truth=truth)
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "code"),
+    [
+        ({"rotation_ccw_1": stuck, "rotation_ccw_2": stuck}, 2),
+        ({"rotation_ccw_1": stuck, "rotation_ccw_2": leaps}, 2),
+        ({"rotation_ccw_1": moved, "rotation_ccw_2": moved}, 2),
+        ({"diagonal_1": stuck, "line_y_1": stuck, "curl_1": stuck}, 2),
+        ({"diagonal_1": stuck, "line_y_1": leaps, "curl_1": leaps, "rotation_ccw_1": leaps}, 2),
+        ({"diagonal_1": stuck, "line_y_1": leaps, "curl_1": leaps}, 0),
+        ({"diagonal_1": stuck, "curl_1": stuck}, 0),
+        ({}, 0),
+    ],
+)
+def test_a_set_that_loses_a_motion_half_or_much_for_one_reason_is_refused(tmp_path, capsys, spoilt, code):
+    """What all checks leave out adds up; the exit code, the verdict and the file agree."""
+    folder, out = tmp_path / "set", tmp_path / "c.toml"
+    folder.mkdir()
+    for one in PAIRS:
+        spoilt.get(one.name, lambda same: same)(one).write(folder)
+    words = ["calibrate", str(folder), "--model", "exact", "--no-validation", "--out", str(out), "--json"]
+    capsys.readouterr()
+    assert main(words) == code
+    found = json.loads(capsys.readouterr().out)
+    assert out.exists() == (code == 0)
+    if code:
+        assert all(name in found["error"]["message"] for name in spoilt)
+    else:
+        assert found["verdict"] == "PASS"
+        assert {Path(name).stem for name in found["rejected"]} == set(spoilt)
+
+
+def test_a_motion_whose_only_recording_is_left_out_stands_beside_the_errors(tmp_path):
+    for one in (stuck(d) if d.name == "curl_1" else d for d in PAIRS if d.name != "curl_2"):
+        one.write(tmp_path)
+    unusable = {}
+    found = read_recordings([tmp_path], unusable=unusable)
+    made = replace(RECOMMENDED, model="exact", choose_model=False)
+    result = calibrate(found, made, MonotonicClock(), validate=False, unusable=unusable)
+    compared = result.to_json()["compared_with_nominal"]
+    assert compared["lacking"] == ["curl"]
+    assert set(compared["motions"]) == {"diagonal", "line_y", "rotation_ccw"}
+    assert "not of curl" in result.compared.in_words()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_repetitions_that_do_not_agree_are_named(healthy, axis):
+    """One drive's positions are 4 % too long along an axis; slip and tolerances name none."""
+    one = next(one for one in healthy if one.name == ("line_x_1", "line_y_1")[axis])
+    factor = np.where(np.arange(3) == axis, 1.04, 1.0)
+    spoilt = [replace(r, truth_pose=r.truth_pose * factor) if r is one else r for r in healthy]
+    lines = [unlike_repetitions(track_all(some, WheelGeometry.nominal()), 0.16) for some in (healthy, spoilt)]
+    assert lines[0] == []
+    (line,) = lines[1]
+    assert line.startswith(f"{one.motion}_1, {one.motion}_2: ")
+
+
+@pytest.mark.parametrize("seed", [7, 8, 28, 29])
+def test_slip_is_no_disagreement_of_repetitions(seed):
+    found = make_set(hidden_robot(seed), seed, (*MOTIONS, *OTHER_MOTIONS)[: 6 + seed % 5], 2, slip_share=0.5)
+    assert unlike_repetitions(track_all(found, WheelGeometry.nominal()), 0.16) == []
