@@ -100,7 +100,8 @@ def command(
             plan = _of_joint(opened, keys, f"steer_{steer}", turn_rad_s)
         recorder = open_recorder(opened, folder.recording, "stop")
         session = LiveSession(opened, plan, recorder=recorder, stop=stop)
-        click.echo(f"hold a key: {_WAYS[moves.partition(' ')[0]]}; x ends", err=True)
+        hint = f"hold a key: {_WAYS[moves.partition(' ')[0]]}; x ends"
+        keys.ready = partial(click.echo, hint, err=True)
         drive(session, folder, None, as_json=as_json)
         must_be_held(opened, recorder, stop)
         if keys.ended in LOST:

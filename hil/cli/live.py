@@ -344,13 +344,14 @@ def _report(session: LiveSession, folder: SessionFolder | None, *, as_json: bool
     if folder is not None:
         folder.end(summary)
     held: Any = summary["held"]
-    print_end(json.dumps(summary) if as_json else _text(summary), held)
+    print_end(json.dumps(summary) if as_json else text_of(summary), held)
     answered = click.get_current_context().find_object(Answered)
     if answered is not None:
         answered.already = True
 
 
-def _text(summary: dict[str, Any]) -> str:
+def text_of(summary: dict[str, Any]) -> str:
+    """A summary as text: times of the sections only where a cycle was late, and HELD at the end."""
     from hil.bench.hold.held_state import held_in_words
     from hil.core.event_rows import event_lines
 
@@ -363,10 +364,11 @@ def _text(summary: dict[str, Any]) -> str:
     ]
     if "advice" in summary:
         lines.append(summary["advice"])
-    if timing["cycles"]:
+    told = timing["late"] or timing["overruns"]  # what took the time: where none was short, --json tells it
+    if told:
         lines.append(f"{'section':10} {'mean ms':>9} {'p99 ms':>9} {'worst ms':>9}")
     for name in ("read", "estimate", "control", "write", "sinks", "work", "lateness"):
-        if f"{name}_mean_ms" in timing:
+        if told and f"{name}_mean_ms" in timing:
             values = (timing[f"{name}_{kind}_ms"] for kind in ("mean", "p99", "worst"))
             lines.append(f"{name:10} " + " ".join(f"{v:9.3f}" for v in values))
     for name, count in summary["samples"].items():

@@ -44,6 +44,7 @@ class Keys(ABC):
 
     Attributes:
         ended: why there will be no more keys; empty before.
+        ready: called when the keys are asked for the first time; those that came before count for nothing.
         stuck: number of times a key was held for too long.
     """
 
@@ -51,9 +52,13 @@ class Keys(ABC):
         self._now_ns = now_ns
         self._key, self._since_ns, self._ignored = "", 0, False
         self.ended, self.stuck = "", 0
+        self.ready: Callable[[], object] | None = None
 
     def held(self) -> str:
         """The held key, `w` for ahead and so on; empty for none. Never blocks."""
+        if self.ready is not None:
+            self.ready()
+            self.ready = None
         now_ns = self._now_ns()
         key = self.pressed(now_ns)
         if key != self._key:

@@ -296,7 +296,7 @@ class RunBenches:
         path = None if any("path" in title for title in titles) else self._histories.path.figure()
         if path is not None:
             self._results.draw(path, "Path", path_history.CAPTION)
-        hold = self._histories.hold.figure()
+        hold = None if "adhesion" in titles else self._histories.hold.figure()
         if hold is not None:
             self._results.draw(hold, "Adhesion", holding_force_history.CAPTION)
         for name, figure in self._histories.devices.figures():

@@ -178,6 +178,9 @@ def _execute(context: Context) -> tuple[Failure | None, list[Failure], dict[str,
     if benches.opened is not None:
         statistics = benches.opened.statistics.summary()
     _attempt("closing the bench", benches.close, limit_s, context, late)
+    if error is not None:  # what was driven until then is shown, once the robot is held
+        with context.results.replacing():
+            _attempt("drawing the figures", benches.show_histories, limit_s, context, late)
     lost = benches.unrecorded()
     if error is None and lost is not None:
         error = failure(lost, context, "recording")

@@ -48,10 +48,9 @@ class Pace:
 
     @property
     def left_s(self) -> float | None:
-        """Seconds left; None before anything is known, and once it is done."""
-        if self._until_ns is None:
-            return None
-        return max(0.0, (self._until_ns - self.clock.now_ns()) / NS_PER_S)
+        """Seconds left; None before anything is known, once it is done, and once the estimate has run out."""
+        left_ns = -1 if self._until_ns is None else self._until_ns - self.clock.now_ns()
+        return None if left_ns < 0 else left_ns / NS_PER_S
 
 
 def in_words(left_s: float | None) -> str:

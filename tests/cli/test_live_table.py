@@ -12,6 +12,8 @@ import time
 import pytest
 
 from hil.bench import open_bench
+from hil.bench.hold.held_state import held_in_words
+from hil.cli.live import text_of
 from hil.cli.live_table import LiveTable, frame, table
 from hil.config.loading import load_bench
 from hil.core.clock import Clock, nanoseconds
@@ -125,3 +127,23 @@ def test_what_does_not_fit_the_window_is_left_out():
     assert len(lines) < 12
     assert max(map(len, lines[:-1])) < 40
     assert text.endswith(f"\x1b[{len(lines)}A")
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_the_times_of_the_sections_are_told_where_a_cycle_was_late(late):
+    """An operator whose session was in order reads what holds the robot, and no table of milliseconds."""
+    with open_bench("emulated_floor") as bench:
+        bench.observe(0.1, feedback="odometry")
+    summary = {
+        "bench": "floor",
+        "ended": "key x",
+        "rate_hz": 50.0,
+        "timing": bench.statistics.summary() | {"late": late, "overruns": 0.0},
+        "samples": {},
+        "pose": None,
+        "events": [],
+        "held": bench.held.to_json(),
+    }
+    lines = text_of(summary).splitlines()
+    assert any(line.startswith("estimate") for line in lines) == bool(late)
+    assert lines[-1] == held_in_words(summary["held"])

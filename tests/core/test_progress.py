@@ -34,6 +34,21 @@ def test_time_left_follows_the_pace_and_counts_down():
     assert pace.left_s == pytest.approx(80.0 / 10 * 50)
 
 
+def test_an_estimate_that_has_run_out_is_none():
+    """Work that takes longer than it seemed is not said to be over in a moment."""
+    clock = Waiting()
+    pace = Pace(clock)
+    pace.update(0, 3)
+    clock.s += 4.0
+    pace.update(2, 3)
+    assert pace.left_s == pytest.approx(2.0)
+    clock.s += 2.1
+    assert pace.left_s is None
+    clock.s += 20.0
+    pace.update(2, 3)
+    assert pace.left_s == pytest.approx(26.1 / 2)
+
+
 def test_what_was_done_before_says_nothing_about_the_pace():
     """A resumed run takes 20 of 30 from its journal at once; the others take 6 s each."""
     clock = Waiting()

@@ -82,3 +82,14 @@ def test_the_end_is_a_key_or_the_loss_of_the_terminal():
         assert second.held() == ""
         assert second.ended == "terminal closed"
     os.close(first.line)
+
+
+def test_the_operator_is_told_once_when_keys_begin_to_count(terminal):
+    keys, told = HeldKeys(terminal.line, lambda: terminal.t_ns), []
+    keys.ready = lambda: told.append(terminal.t_ns)
+    os.write(terminal.keyboard, b"w")
+    assert keys.held() == "", "what was pressed before counts for nothing"
+    terminal.t_ns += 10 * MS
+    os.write(terminal.keyboard, b"s")
+    assert keys.held() == "s"
+    assert len(told) == 1

@@ -120,6 +120,8 @@ def test_one_joint_moves_while_the_key_is_held(tmp_path, what):
     os.write(jog.keyboard, b"x")
     code, summary, path = jog.end()
     assert code == 0, jog.lines
+    (start,) = [k for k, said in enumerate(jog.lines) if "at the start" in said]
+    assert any("hold a key" in said for said in jog.lines[start:]), "keys count once the bench is open"
     assert summary["ended"] == "key x"
     assert summary["held"]["moved_m"] < 0.01, "at rest, torque on"
     cycles = [r for r in read_cycles(path) if r.external is not None]

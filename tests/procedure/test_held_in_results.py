@@ -121,6 +121,21 @@ def test_a_fault_that_was_over_before_the_first_cycle_is_named(tmp_path, fault, 
     assert any("before the first control cycle" in note for note in reported["notes"]) != met
 
 
+@procedure(name="breaks", needs=("servos",), measurements=())
+def breaks(ctx):
+    """Ten centimetres up, and a mistake."""
+    ctx.bench.drive(line((0, 0, 0), (0.1, 0, 0), duration_s=3.0))
+    raise ZeroDivisionError("mine")
+
+
+def test_a_run_that_failed_shows_where_it_drove(tmp_path):
+    result, tree = ran(tmp_path / "run", breaks)
+    assert result.verdict.value == "ERROR"
+    assert {entry["title"] for entry in tree["figures"]} == {"Path", "Adhesion"}
+    assert tree["teardown_errors"] == []
+    assert all((tmp_path / "run" / entry["path"]).stat().st_size > 1000 for entry in tree["figures"])
+
+
 STANDS = """
 from hil.procedure import procedure
 

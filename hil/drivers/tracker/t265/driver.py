@@ -215,8 +215,13 @@ class T265Tracker(Sensor[TrackerSample]):
             nothing_usable("pose", silent_ns, samples),
             port=self._port,
             expected="200 poses per second",
-            remedy="check the USB 3 cable and power; close and open the tracker to start it again",
+            remedy=self._start_again(),
         )
+
+    def _start_again(self) -> str:
+        """What starts a silent camera again: an emulated one has no cable."""
+        again = "close and open the tracker to start it again"
+        return again if self._config.backend == "emulated" else f"check the USB 3 cable and power; {again}"
 
     def _take(self, frame: Frame) -> None:
         """Called by the library's thread with every frame: copy its numbers and release it."""
