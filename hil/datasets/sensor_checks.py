@@ -12,7 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.core.geometry import Array, quat_rotate
-from hil.datasets.sensor_moves import moves_by_camera, moves_by_truth, moves_by_wheels, turns_by_gyro
+from hil.datasets.sampling import interpolate
+from hil.datasets.sensor_moves import moves, moves_by_camera, moves_by_truth, moves_by_wheels, turns_by_gyro
 from hil.datasets.sensor_times import late_sensors
 from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import WheelGeometry
@@ -20,15 +21,18 @@ from hil.robot.statics import GRAVITY_M_S2
 
 _LEAST_RAD, _LEAST_M = 0.3, 0.1
 """Root of the summed squares of the moves from which turning and way are compared."""
-_NEAR, _FACTOR, _ANGLE_RAD = 0.3, 1.25, 0.35
+_NEAR, _SAME, _FACTOR, _ANGLE_RAD = 0.3, 0.15, 1.25, 0.35
 _TURNED = 2.0
 """Factor of turning that no slip explains: skid steering turns by half as much again."""
+_FEWEST, _LEVER_M, _SCALED, _ERRORS = 5, 0.03, 0.05, 5.0
+"""Fewest moves, lever and scale of a camera that are named, and by how many standard errors."""
 _LEANS = math.cos(_ANGLE_RAD)
 _MOUNT = "correct its mount_rotation_wxyz, or its frame"
+_IN_IT = 'gravity is in it: set gravity = "in_force"'
 _NORMS = (
     (GRAVITY_M_S2, ""),
     (0.0, 'gravity is not in it: set gravity = "removed"'),
-    (2.0 * GRAVITY_M_S2, 'gravity is in it: set gravity = "in_force"'),
+    (2.0 * GRAVITY_M_S2, _IN_IT),
     (1.0, "it is in g: let the driver send m/s^2"),
 )
 """Lengths of the specific force, m/s^2, that mean something; the first is right."""
@@ -79,6 +83,10 @@ def _of_gravity(recording: Recording, on_wall: bool) -> Iterator[str]:
     force = np.array([one.specific_force_m_s2 for one in log.imu]).reshape(-1, 3)
     force = force[np.isfinite(force).all(axis=1)]
     if not len(force):
+        linear = np.array([one.linear_acceleration_m_s2 for one in log.imu]).reshape(-1, 3)
+        norms = np.linalg.norm(linear[np.isfinite(linear).all(axis=1)], axis=1)
+        if len(norms) and abs(float(np.median(norms)) - GRAVITY_M_S2) < 1.0:
+            yield f"[imu]: its acceleration is {np.median(norms):.2f} m/s^2 (median): {_IN_IT}"
         return
     norm = float(np.median(np.linalg.norm(force, axis=1)))
     nearest, remedy = min(_NORMS, key=lambda one: abs(one[0] - norm))
@@ -100,7 +108,40 @@ def _of_camera(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
     if not len(seen):
         return
     true = moves_by_wheels(recording, edges_s, geometry)
-    yield from _of_moves("[tracker]", "the wheels", seen, true, (_MOUNT, "look at scale and unit"))
+    contradicted = list(_of_moves("[tracker]", "the wheels", seen, true, (_MOUNT, "look at scale and unit")))
+    yield from contradicted
+    if contradicted:
+        return
+    other = "the wheels"
+    if recording.has_truth:
+        known = (edges_s >= recording.truth_t_s[0]) & (edges_s <= recording.truth_t_s[-1])
+        by_truth = moves(interpolate(edges_s, recording.truth_t_s, recording.truth_pose))
+        both = known[1:] & known[:-1]
+        if np.linalg.norm((by_truth - true)[both]) < _SAME * np.linalg.norm(true[both]):
+            seen, true, other = seen[both], by_truth[both], "the ground truth"
+    yield from _of_lever(seen, true, other)
+
+
+def _of_lever(seen: Array, true: Array, other: str) -> Iterator[str]:
+    """Lines on moves (S, 3) of a camera that is elsewhere than its mount says, or of another scale.
+
+    A camera that is elsewhere by a lever moves by (exp(i turn) - 1) lever more, in the frame of the begin.
+    """
+    way, turning = true[:, 0] + 1j * true[:, 1], np.exp(1j * seen[:, 2]) - 1.0
+    if len(seen) < _FEWEST or min(np.linalg.norm(way), np.linalg.norm(turning)) < _LEAST_RAD:
+        return
+    model, moved = np.column_stack([way, turning]), seen[:, 0] + 1j * seen[:, 1]
+    (scale, lever_m), *_ = np.linalg.lstsq(model, moved, rcond=None)
+    noise = float(np.linalg.norm(moved - model @ [scale, lever_m])) / math.sqrt(len(seen) - 2)
+    errors = noise * np.sqrt(np.diag(np.linalg.inv(model.conj().T @ model)).real)
+    if abs(lever_m) > max(_LEVER_M, _ERRORS * errors[1]):
+        x_mm, y_mm = 1e3 * lever_m.real, 1e3 * lever_m.imag
+        yield (
+            f"[tracker]: by {other} it is {x_mm:.0f} mm in x and {y_mm:.0f} mm in y from where its mount "
+            "says: correct its mount_position_m, or its frame"
+        )
+    if other != "the wheels" and abs(abs(scale) - 1.0) > max(_SCALED, _ERRORS * errors[0]):
+        yield f"[tracker]: its way is {abs(scale):.3g} times that of {other}: look at its scale"
 
 
 def _of_twist(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:

@@ -273,6 +273,44 @@ def test_a_wrong_mount_is_named(bag, tmp_path, capsys, table, turn, said):
     assert any(re.search(said, line) for line in json.loads(capsys.readouterr().out)["problems"])
 
 
+def problems(bag, path, capsys, command="replay"):
+    """Exit code and problems of a command on a bag."""
+    code = main([command, str(bag), "--topics", str(path), "--json"])
+    return code, json.loads(capsys.readouterr().out)["problems"]
+
+
+@pytest.mark.parametrize("truth", [True, False])
+@pytest.mark.parametrize(("given_m", "off_mm"), [((0.0, 0.0), (150, 20)), ((-0.15, -0.02), (300, 40))])
+def test_a_camera_that_is_elsewhere_is_named_with_its_place(bag, tmp_path, capsys, truth, given_m, off_mm):
+    path = mapping(
+        tmp_path, f'[tracker]\ntopic = "/vio"\nmount_position_m = [{given_m[0]}, {given_m[1]}, 0.05]\n'
+    )
+    if not truth:
+        path.write_text(path.read_text().replace('[truth]\ntopic = "/vicon"\n', ""))
+    code, (line,) = problems(bag, path, capsys)
+    found = re.search(r"\[tracker\]: by (.*) it is (-?\d+) mm in x and (-?\d+) mm in y", line)
+    assert code == 2
+    assert found[1] == ("the ground truth" if truth else "the wheels")
+    assert (float(found[2]), float(found[3])) == pytest.approx(off_mm, abs=5)
+
+
+def test_a_wrong_scale_is_named(bag, tmp_path, capsys):
+    path = mapping(tmp_path, '[tracker]\ntopic = "/vio"\nframe = "eye"\nscale = 1.1\n')
+    code, (line,) = problems(bag, path, capsys, "evaluate")
+    assert code == 2
+    assert float(re.search(r"\[tracker\]: its way is (\S+) times", line)[1]) == pytest.approx(
+        1 / 1.1, abs=2e-3
+    )
+
+
+def test_gravity_that_was_not_removed_is_named(bag, tmp_path, capsys):
+    """An IMU without an attitude of its own: its acceleration alone shows it."""
+    path = mapping(tmp_path, '[imu]\ntopic = "/chip"\nframe = "chip"\ngravity = "removed"\n')
+    code, (line,) = problems(bag, path, capsys)
+    assert code == 2
+    assert 'set gravity = "in_force"' in line
+
+
 def test_evaluate_and_tune_ask_the_same(bag, tmp_path, capsys):
     mount = quat_multiply([math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0], SIDEWAYS).tolist()
     path = mapping(tmp_path, f'[imu]\ntopic = "/chip"\nmount_rotation_wxyz = {mount}\n')
