@@ -119,6 +119,8 @@ def _of_camera(recording: Recording, geometry: WheelGeometry) -> Iterator[str]:
         both = known[1:] & known[:-1]
         if np.linalg.norm((by_truth - true)[both]) < _SAME * np.linalg.norm(true[both]):
             seen, true, other = seen[both], by_truth[both], "the ground truth"
+    if other == "the wheels" and recording.of_twist:
+        return
     yield from _of_lever(seen, true, other)
 
 
@@ -126,11 +128,12 @@ def _of_lever(seen: Array, true: Array, other: str) -> Iterator[str]:
     """Lines on moves (S, 3) of a camera that is elsewhere than its mount says, or of another scale.
 
     A camera that is elsewhere by a lever moves by (exp(i turn) - 1) lever more, in the frame of the begin.
+    On a single circle that is a part of the way, and nothing is judged.
     """
     way, turning = true[:, 0] + 1j * true[:, 1], np.exp(1j * seen[:, 2]) - 1.0
-    if len(seen) < _FEWEST or min(np.linalg.norm(way), np.linalg.norm(turning)) < _LEAST_RAD:
-        return
     model, moved = np.column_stack([way, turning]), seen[:, 0] + 1j * seen[:, 1]
+    if len(seen) < _FEWEST or np.linalg.svd(model, compute_uv=False)[-1] < _LEAST_M:
+        return
     (scale, lever_m), *_ = np.linalg.lstsq(model, moved, rcond=None)
     noise = float(np.linalg.norm(moved - model @ [scale, lever_m])) / math.sqrt(len(seen) - 2)
     errors = noise * np.sqrt(np.diag(np.linalg.inv(model.conj().T @ model)).real)
