@@ -61,7 +61,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "estimate_watch": ("hil/loop/checks/mocap_estimate.py", ("tests/core/test_estimate_watch.py",)),
     "pace_watch": ("hil/loop/checks/loop_pause.py", ("tests/core/test_supervisor.py",)),
     "wheel_watch": ("hil/loop/checks/wheel_slip.py", ("tests/core/test_wheel_watch.py",)),
-    "doubts": ("hil/loop/checks/disagreement.py", _SENSES),
+    "doubts": ("hil/loop/checks/cusum.py", _SENSES),
     "agreement": ("hil/loop/checks/disagreement_response.py", ("tests/core/test_supervisor.py", _SENSES[1])),
     "lost_check": ("hil/loop/checks/lost_sensor.py", ("tests/core/test_supervisor.py", _GUARDS[0])),
     "path_check": ("hil/loop/checks/path_error.py", ("tests/core/test_supervisor.py", _GUARDS[0])),

@@ -27,13 +27,13 @@ from hil.datasets.nominal_robot import Nominal
 from hil.loop.alignment import AlignmentParameters
 from hil.loop.checks.adhesion import AdhesionWatch
 from hil.loop.checks.adhesion_limits import AdhesionLimits
+from hil.loop.checks.lifting_work import Lifted, WeightCheck
 from hil.loop.checks.mocap_agreement import MocapTolerances
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.out_of_plane import CameraOutOfPlane
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
-from hil.loop.checks.weight import Lifted, WeightCheck
 from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.pose_alignment import Mount
 from hil.loop.realtime import RealTime

@@ -74,7 +74,7 @@ class Topic(NamedTuple):
 
     Attributes:
         name, type: topic name and message type, for example `/imu/data` and `sensor_msgs/msg/Imu`.
-        message: function that makes the message from (sample, `hil.recording.ros_types.MessageMaker`); None
+        message: function that makes the message from (sample, `hil.recording.rosbags_adapter.MessageMaker`); None
             to send none.
     """
 

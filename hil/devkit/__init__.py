@@ -18,7 +18,7 @@ from hil.drivers.serial_and_can_models import CanModel, SerialModel
 from hil.loop.cycle_data import Check, Cycle, LastingCheck
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker as MessageMaker  # importing it loads rosbags
+    from hil.recording.rosbags_adapter import MessageMaker as MessageMaker  # importing it loads rosbags
 
 __all__ = [
     "Array",

@@ -5,12 +5,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hil.loop.checks.adhesion import AdhesionWatch
+from hil.loop.checks.lifting_work import WeightCheck
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.out_of_plane import CameraOutOfPlane
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
-from hil.loop.checks.weight import WeightCheck
 from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.cycle_data import Check
 

@@ -14,8 +14,8 @@ import numpy as np
 from hil.core.errors import SafetyStop
 from hil.core.signals import Event, Inputs, Measurements, WheelSetpoint
 from hil.core.stop_suspects import together
+from hil.loop.checks.cusum import WHEELS
 from hil.loop.checks.damaged_reports import DamagedReports
-from hil.loop.checks.disagreement import WHEELS
 from hil.loop.checks.disagreement_response import AgreementCheck
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.fall import FallCheck, look_at

@@ -129,7 +129,7 @@ class RecordingFile:
         """Describe the topics at the first call: this loads rosbags, which takes some tenths of a second."""
         if self._messages is None:
             from hil.recording.ros_messages import CycleMessages
-            from hil.recording.ros_types import definition
+            from hil.recording.rosbags_adapter import definition
 
             topics = topics_with(self._kinds)
             schemas = {

@@ -147,7 +147,7 @@ class RecordingReader:
 
     def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
         """What a message on one of our own topics holds; None where it cannot be read."""
-        from hil.recording.ros_types import from_cdr
+        from hil.recording.rosbags_adapter import from_cdr
 
         try:
             held = from_cdr(data, TOPICS[topic]).data

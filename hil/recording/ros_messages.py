@@ -11,7 +11,7 @@ from hil.core.device import DeviceKind
 from hil.core.geometry import Array
 from hil.core.signals import CycleRecord, Event, RobotState, samples_of
 from hil.recording import cdr
-from hil.recording.ros_types import MessageMaker, pose_numbers, to_cdr
+from hil.recording.rosbags_adapter import MessageMaker, pose_numbers, to_cdr
 from hil.recording.transform_tree import BODY, WALL, Frame, FrameTree
 
 Message = tuple[str, int, bytes]

@@ -12,7 +12,7 @@ import numpy as np
 from hil.core.clock import NS_PER_S, MonotonicClock, seconds
 from hil.core.errors import UsageError
 from hil.core.external_commands import ExternalCommand
-from hil.recording.ros_types import from_cdr
+from hil.recording.rosbags_adapter import from_cdr
 from hil.ros2.participant import Participant
 from hil.ros2.publishers import Publisher
 

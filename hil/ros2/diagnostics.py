@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.core.signals import Event
-from hil.recording.ros_types import MessageMaker, to_cdr
+from hil.recording.rosbags_adapter import MessageMaker, to_cdr
 
 TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 _OK, _WARN, _ERROR = 0, 1, 2

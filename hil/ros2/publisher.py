@@ -20,7 +20,7 @@ from hil.core.interfaces import HELD_NOTE, RUN_NOTE, CommandingSink, Sink
 from hil.core.signals import CycleRecord
 from hil.recording.needed_packages import recorded_kinds
 from hil.recording.ros_messages import CycleMessages
-from hil.recording.ros_types import MessageMaker
+from hil.recording.rosbags_adapter import MessageMaker
 from hil.recording.topics import topics_with
 from hil.recording.transform_tree import FrameTree, recorded_offset
 from hil.recording.urdf import urdf

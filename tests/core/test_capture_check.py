@@ -8,8 +8,8 @@ from supervised import Supervised
 
 from hil.core.errors import SafetyStop
 from hil.core.signals import GyroMeasurement, Inputs, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+from hil.loop.checks.cusum import CAMERA, WHEELS, Disagreement, Relocalisation, Sum
 from hil.loop.checks.dead_reckoning import WheelTrack
-from hil.loop.checks.disagreement import CAMERA, WHEELS, Disagreement, Relocalisation, Sum
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.loop.checks.motion_agreement import MotionCheck

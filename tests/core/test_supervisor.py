@@ -19,7 +19,7 @@ from hil.core.signals import (
     TrackerSample,
     WheelSetpoint,
 )
-from hil.loop.checks.disagreement import Disagreement
+from hil.loop.checks.cusum import Disagreement
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.cycle_data import Check
 from hil.loop.safety_limits import Checks, SafetyLimits

@@ -23,7 +23,7 @@ from hil.fakes.world import VirtualClock
 from hil.loop.cycle_data import LastingCheck
 from hil.monitor.plot_series import SeriesCollector, conditions
 from hil.recording.mcap_reader import read_cycles
-from hil.recording.ros_types import from_cdr
+from hil.recording.rosbags_adapter import from_cdr
 
 HEAD = """
 schema = 1

@@ -31,7 +31,7 @@ from hil.links.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD
 from hil.links.vesc import messages as vesc
 from hil.live.velocity_input import parse_command
 from hil.recording import cdr
-from hil.recording.ros_types import MessageMaker, from_cdr, to_cdr
+from hil.recording.rosbags_adapter import MessageMaker, from_cdr, to_cdr
 from hil.support.file_reading import json_object, json_value, toml_tables
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from hil.recording import cdr
-from hil.recording.ros_types import MessageMaker, to_cdr
+from hil.recording.rosbags_adapter import MessageMaker, to_cdr
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 ROS = MessageMaker(1_700_000_000 * 10**9)

@@ -16,7 +16,7 @@ from hil.core.registry import kinds
 from hil.core.signals import SERVOS
 from hil.recording import cdr
 from hil.recording.ros_messages import CycleMessages
-from hil.recording.ros_types import MessageMaker, definition, from_cdr
+from hil.recording.rosbags_adapter import MessageMaker, definition, from_cdr
 from hil.recording.topics import topics_with
 from hil.recording.transform_tree import FrameTree
 

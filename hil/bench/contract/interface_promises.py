@@ -166,7 +166,7 @@ def recorded_bit_for_bit(subject: Subject) -> str:
     difference = first_difference({"inputs": inputs}, {"inputs": again.inputs})
     if difference is not None:
         raise Broken(f"recorded otherwise: {difference}", "what was written", _DRIVER)
-    from hil.recording.ros_types import MessageMaker, from_cdr, to_cdr
+    from hil.recording.rosbags_adapter import MessageMaker, from_cdr, to_cdr
 
     ros = MessageMaker()
     for topic in kind.topics:

@@ -16,7 +16,7 @@ from hil.core.cross_check import CrossCheck, strongest
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.core.signals import Event
-from hil.loop.checks.weight import FITS_SHARE, WeightCheck
+from hil.loop.checks.lifting_work import FITS_SHARE, WeightCheck
 
 OF_NO_DEVICE = ("environment", "robot", "alignment")
 """Tables without a device that have parameters."""

@@ -19,7 +19,7 @@ from hil.drivers.doctor_watch import Watched, losses
 from hil.robot.motor_cross_checks import Reading, cross_check
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["KIND", "fan_state"]
 

@@ -15,7 +15,7 @@ from hil.drivers.doctor_watch import Watched, losses
 from hil.drivers.encoders.as5045.model import As5045
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["KIND", "encoder_state"]
 

@@ -18,7 +18,7 @@ from hil.drivers.imu.microstrain.model import MicroStrain
 from hil.robot.statics import GRAVITY_M_S2
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["KIND", "imu_message"]
 

@@ -16,7 +16,7 @@ from hil.drivers.doctor_watch import Watched, losses
 from hil.drivers.load_cells.hx711.model import Hx711Can, Hx711Line
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["CELLS", "KIND", "cell_state"]
 

@@ -18,7 +18,7 @@ from hil.drivers.doctor_watch import LOSS_FAILURE, Watched
 from hil.drivers.mocap.natnet.model import NatNet
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["KIND"]
 

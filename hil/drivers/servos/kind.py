@@ -17,7 +17,7 @@ from hil.drivers.doctor_watch import Watched, losses
 from hil.drivers.servos.dynamixel.model import Dynamixel
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["KIND", "joint_state"]
 

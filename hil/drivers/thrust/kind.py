@@ -17,7 +17,7 @@ from hil.drivers.thrust.teensy.model import Teensy
 from hil.drivers.thrust.vesc.model import VescPropellers
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["KIND", "propeller_state"]
 

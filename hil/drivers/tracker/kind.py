@@ -14,7 +14,7 @@ from hil.drivers.tracker.mavlink.model import Mavlink
 from hil.drivers.tracker.t265.model import T265
 
 if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
+    from hil.recording.rosbags_adapter import MessageMaker
 
 __all__ = ["KIND"]
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from hil.core.signals import Event
 from hil.core.stop_suspects import together
-from hil.loop.checks.disagreement import Disagreement
+from hil.loop.checks.cusum import Disagreement
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.fall import look_at
 from hil.loop.checks.motion_agreement import MotionCheck

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from hil.core.signals import Event, Measurements
-from hil.loop.checks.disagreement import Disagreement
+from hil.loop.checks.cusum import Disagreement
 from hil.loop.cycle_data import Cycle
 
 _MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}

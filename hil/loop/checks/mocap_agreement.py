@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from hil.core.clock import NS_PER_S
 from hil.core.signals import PoseMeasurement
+from hil.loop.checks.cusum import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation, Sum
 from hil.loop.checks.dead_reckoning import Kept, Track, WheelTrack, moved, rolled
-from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation, Sum
 
 CAPTURE = MotionSource("mocap", "motion capture")
 GAP_NS = 300_000_000

@@ -13,8 +13,8 @@ from collections.abc import Container
 
 from hil.core.interfaces import ReportStop
 from hil.core.signals import Event, RobotState
+from hil.loop.checks.cusum import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation
 from hil.loop.checks.dead_reckoning import Kept, Track
-from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation
 from hil.loop.checks.mocap_agreement import CAPTURE, GAP_NS, MocapAgreement
 from hil.loop.cycle_data import Check, Cycle
 

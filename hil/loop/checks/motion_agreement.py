@@ -11,16 +11,8 @@ from dataclasses import dataclass, replace
 
 from hil.core.clock import NS_PER_S
 from hil.core.signals import Measurements, PoseMeasurement
+from hil.loop.checks.cusum import CAMERA, STEP_NS, WHEELS, Disagreement, MotionSource, Relocalisation, Sum
 from hil.loop.checks.dead_reckoning import GyroTrack, Kept, WheelTrack, moved, rolled
-from hil.loop.checks.disagreement import (
-    CAMERA,
-    STEP_NS,
-    WHEELS,
-    Disagreement,
-    MotionSource,
-    Relocalisation,
-    Sum,
-)
 from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.loop.checks.slide import Slide
 from hil.robot.kinematics import WheelGeometry
