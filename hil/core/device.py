@@ -74,8 +74,8 @@ class Topic(NamedTuple):
 
     Attributes:
         name, type: topic name and message type, for example `/imu/data` and `sensor_msgs/msg/Imu`.
-        message: function that makes the message from (sample, `hil.recording.rosbags_adapter.MessageMaker`); None
-            to send none.
+        message: function that makes the message from a sample and a `MessageMaker` of
+            `hil.recording.rosbags_adapter`; None to send none.
     """
 
     name: str
