@@ -103,6 +103,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
     servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
     ids, steer_ids = ((), ()) if servos is None else (servos.ids, servos.steer_ids)
     motion = None if servos is None else motion_check(config, geometry)
+    slip = WheelSlipCheck(geometry, ids) if motion and follows else None
     aligned = alignment_parameters(config)
     independent = (
         config.of(MocapConfig) is not None and not config.estimator.mocap.use and feedback != "odometry"
@@ -113,7 +114,8 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         if motion and config.of(TrackerConfig)
         else None,
         estimate=MocapEstimate(motion.capture, follows=follows) if motion and independent else None,
-        wheels=WheelSlipCheck(geometry, ids) if motion and follows else None,
+        wheels=slip,
+        radii=motion.radii(slip, config.alignment.drive_sign) if motion and slip else None,
         estimated=frozenset(
             ("tracker", "imu", "mocap") if config.estimator.mocap.use else ("tracker", "imu")
         ),

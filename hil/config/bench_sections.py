@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from hil.config.field_types import HeadingLimit, Signs, SteeringZero, Strict, Switch, WheelRate, Within
-from hil.config.parameter import Parameter, plus, signs
+from hil.config.parameter import Parameter, each, plus
 
 Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
 
@@ -76,8 +76,8 @@ class AlignmentConfig(Strict):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("drive_sign", (signs(-1, 1, 1, 1), signs(-1, -1, -1, -1)), ("mocap", "tracker")),
-        Parameter("steer_sign", (signs(1, -1, 1, 1), signs(-1, -1, -1, -1)), ("encoders",)),
+        Parameter("drive_sign", (each(-1, 1, 1, 1), each(-1, -1, -1, -1)), ("mocap", "tracker")),
+        Parameter("steer_sign", (each(1, -1, 1, 1), each(-1, -1, -1, -1)), ("encoders",)),
         Parameter("steer_zero_rad", (plus(0.2), plus(0.1, 0.1, 0.1, 0.1), plus(0.0, 1.0)), ("encoders",)),
     )
 

@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.field_types import Angle, FrameOffset, Patience, Signs, Switch, Within
-from hil.config.parameter import Parameter, order, plus, signs
+from hil.config.parameter import Parameter, each, order, plus
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
 _SHIPPED_FRAMES = (0x1A0, 0x1A1, 0x1A2)
@@ -41,7 +41,7 @@ class EncodersConfig(CanConfig):
     PATHS: ClassVar[tuple[str, ...]] = ("dbc",)
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("zero_rad", (plus(0.3), plus(0.2, 0.2, 0.2, 0.2)), ("servos",)),
-        Parameter("sign", (signs(1, -1, 1, 1), signs(-1, -1, -1, -1)), ("servos",)),
+        Parameter("sign", (each(1, -1, 1, 1), each(-1, -1, -1, -1)), ("servos",)),
         Parameter("signals", (order(3, 2, 1, 0), order(1, 0, 2, 3)), ("servos",)),
     )
 

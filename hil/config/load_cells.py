@@ -9,7 +9,7 @@ from pydantic import Field
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.device import DeviceConfig
 from hil.config.field_types import Baud, FrameOffset, Patience, Within
-from hil.config.parameter import Parameter, plus, signs, times
+from hil.config.parameter import Parameter, each, plus, times
 
 SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
 _SHIPPED_FRAME = 0x1B0
@@ -31,7 +31,7 @@ class LoadCellsConfig(DeviceConfig):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("n_per_count", (times(2.0), times(0.5), signs(-1, 1)), ("adhesion",)),
+        Parameter("n_per_count", (times(2.0), times(0.5), each(-1, 1)), ("adhesion",)),
         Parameter("zero_n", (plus(30.0), plus(-10.0, -10.0)), ("adhesion",)),
     )
 

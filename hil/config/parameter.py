@@ -52,11 +52,11 @@ def plus(*by: float) -> Mistake:
     return wrong
 
 
-def signs(*by: int) -> Mistake:
-    """A list with each value times 1 or -1."""
+def each(*by: float) -> Mistake:
+    """A list with each value times its own factor, as 1 or -1 for signs."""
 
     def wrong(true: Any) -> Any:
-        return tuple(sign * value for sign, value in zip(by, true, strict=True))
+        return tuple(factor * value for factor, value in zip(by, true, strict=True))
 
     return wrong
 

@@ -15,7 +15,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 
 from hil.config.environment import LEAST_FRICTION
 from hil.config.field_types import RECORDED, Strict, Within
-from hil.config.parameter import Parameter, signs, times
+from hil.config.parameter import Parameter, each, times
 from hil.core.geometry import Array
 from hil.robot.statics import GRAVITY_M_S2, Statics
 
@@ -47,9 +47,11 @@ class RobotConfig(Strict):
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("mass_kg", (times(0.6), times(0.5), times(2.0)), ("servos",)),
-        Parameter("wheel_radius_m", (times(2.0), times(0.5), times(1.1)), ("mocap", "tracker")),
-        Parameter("wheel_x_m", (times(0.5), signs(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
-        Parameter("wheel_y_m", (times(0.5), signs(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
+        Parameter(
+            "wheel_radius_m", (times(2.0), times(0.5), times(1.1), each(1, 1.3, 1, 1)), ("mocap", "tracker")
+        ),
+        Parameter("wheel_x_m", (times(0.5), each(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
+        Parameter("wheel_y_m", (times(0.5), each(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
     )
 
     name: str = ""

@@ -11,6 +11,7 @@ from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.out_of_plane import CameraOutOfPlane
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
+from hil.loop.checks.wheel_radius import WheelRadiusCheck
 from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.cycle_data import Check
 
@@ -48,6 +49,7 @@ class Checks:
         estimate: the estimate against motion capture; None without motion capture or another independent
             sensor.
         wheels: check of each wheel against the other three; None where they are not commanded by one motion.
+        radii: radius of each wheel by the body's turn and the currents; None as for `wheels`.
         needs_camera: True if the estimate in the loop uses the camera: the robot stops if that is in doubt or
             silent.
         steering: external encoders against the servos; None without this check.
@@ -70,6 +72,7 @@ class Checks:
     camera: CameraOutOfPlane | None = None
     estimate: MocapEstimate | None = None
     wheels: WheelSlipCheck | None = None
+    radii: WheelRadiusCheck | None = None
     needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False

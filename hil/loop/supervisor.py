@@ -95,6 +95,7 @@ class Supervisor:
             own.wheels,
             own.steering,
             self._agreement,
+            own.radii,
             self.slide,
             FrameMove(self.left_out),
             OutOfPlane(),

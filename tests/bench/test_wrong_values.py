@@ -12,6 +12,7 @@ from hil.bench.doctor.examination import examine
 from hil.config.loading import load_bench
 from hil.config.parameter import order, plus, turned
 from hil.core.errors import ConfigError, SafetyStop
+from hil.core.signals import WHEELS
 from hil.loop.checks.wrong_parameter import explained
 from hil.robot.trajectories import line
 
@@ -129,6 +130,19 @@ def test_a_radius_is_told_with_the_factor_that_fits():
     with bench, pytest.raises(SafetyStop, match=r"robot\.wheel_radius_m"):
         bench.drive(UP)
     assert bench.seen.contradicting["robot.wheel_radius_m"].factor == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("plant", ["own", "mujoco"])
+@pytest.mark.parametrize("wheel", range(4))
+def test_one_wheel_of_another_radius_is_told_from_the_other_three(wheel, plant):
+    true, said = (0.0254,) * 4, tuple(0.0254 * (1.3 if i == wheel else 1.0) for i in range(4))
+    with opened({**wrong("robot.wheel_radius_m", said, true), "emulation.plant": plant}) as bench:
+        bench.drive(UP, hold_s=0.1)
+    contradicting = bench.seen.contradicting["robot.wheel_radius_m"].message
+    assert f"wheel {WHEELS[wheel]} " in contradicting
+    assert "smaller than the 33.0 mm" in contradicting
+    rows = {row.key: row for row in bench.parameters.rows()}
+    assert rows["robot.wheel_radius_m"].state == "contradicted"
 
 
 def test_left_for_right_shows_in_a_turn():

@@ -54,7 +54,8 @@ def judge(case: WrongValue, seen: Observed, usual: Observed) -> Verdict:
     said = next(
         (text for name in (named or ended) for text in news[name] if case.key in text or not named), ""
     )
-    if named and (ended or not harm or entry.get("state") == "contradicted"):
+    contradicted = entry.get("state") == "contradicted" or case.key in seen.contradicted
+    if named and (ended or not harm or contradicted):
         return Verdict(case, "right", said, named)
     if ended:
         return Verdict(case, "misnamed", said or harm, tuple(ended))

@@ -15,6 +15,8 @@ from hil.loop.checks.cusum import CAMERA, STEP_NS, WHEELS, Disagreement, MotionS
 from hil.loop.checks.dead_reckoning import GyroTrack, Kept, WheelTrack, moved, rolled
 from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.loop.checks.slide import Slide
+from hil.loop.checks.wheel_radius import WheelRadiusCheck
+from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.robot.kinematics import WheelGeometry
 
 GYRO = MotionSource("imu", "the gyro")
@@ -96,7 +98,7 @@ class MotionCheck:
         on_wall: bool = True,
         seen: MocapTolerances | None = None,
     ) -> None:
-        self._on_wall = on_wall
+        self._on_wall, self._geometry = on_wall, geometry
         self.honest = h = honest if honest is not None else Tolerances()
         self._wheels, self._gyro = WheelTrack(geometry), GyroTrack()
         self.radius_m = float(geometry.radius_m.mean())
@@ -137,6 +139,15 @@ class MotionCheck:
         if measurements.gyro:
             looked |= self._feel(measurements.gyro[-1].stamp.t_ns)
         return self._doubts(measurements.t_ns) if looked else ()
+
+    def radii(self, slip: WheelSlipCheck, drive_sign: tuple[int, ...]) -> WheelRadiusCheck:
+        """The check of the radii, by the wheels' track of this check.
+
+        Args:
+            slip: check of wheels that begin to slip.
+            drive_sign: sign of each drive, (4,).
+        """
+        return WheelRadiusCheck(self._geometry, self._wheels, slip, drive_sign)
 
     def slide(self) -> Slide:
         """The excess of camera and motion capture over the wheels, by the tracks of this check."""

@@ -39,6 +39,9 @@ class WheelSlipCheck(Check):
     Args:
         geometry: wheel geometry.
         ids: bus IDs in the order of `SERVOS`; empty when unknown.
+
+    Attributes:
+        reported: True if a wheel of this run has been reported.
     """
 
     def __init__(self, geometry: WheelGeometry, ids: tuple[int, ...] = ()) -> None:
@@ -52,7 +55,7 @@ class WheelSlipCheck(Check):
     def reset(self) -> None:
         """Clear the state of the run."""
         self._forget()
-        self._reported = self._doubted = False
+        self.reported = self._doubted = False
         self._way_m = self._since_m = self._sigma_m = self._off_m = 0.0
 
     def _forget(self) -> None:
@@ -144,9 +147,9 @@ class WheelSlipCheck(Check):
             return
         self._seen = self._seen + 1 if worst == self._suspect else 1
         self._suspect = worst
-        if self._reported or self._seen < _AGAIN:
+        if self.reported or self._seen < _AGAIN:
             return
-        self._reported = True
+        self.reported = True
         if not self._doubted:
             self._doubted, self._since_m = True, self._way_m
         rolled_mm, said_mm = 1e3 * self._rolled_m[worst], 1e3 * self._said_m[worst]
