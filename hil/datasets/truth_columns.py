@@ -78,7 +78,7 @@ def _of_positions(drive: Drive, edges_s: Array, rolled: Complexes, wheels: Wheel
     if np.abs(went).sum() > _WORTH_M and _share(by_own, went) < _AGREES:
         course = np.abs(np.sin(0.5 * (theta[1:] + theta[:-1]) - np.angle(went)))
         goes = np.abs(went) > 0.5 * np.percentile(np.abs(went), 90.0)
-        sideways = np.abs(np.sin(0.5 * np.angle(way))) > _COURSE  # straight ahead the heading is the course
+        sideways = np.abs(np.sin(np.angle(way))) > _COURSE  # straight ahead or back the heading is the course
         is_course = np.mean((course < _COURSE)[goes]) > _MOST and np.mean(sideways[goes]) > _MOST
         return "the heading (theta) is the direction in which it moves" if is_course else ""
     lever, expected = lever_m(wheels), way * np.exp(0.5j * (theta[1:] + theta[:-1]))

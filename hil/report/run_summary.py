@@ -25,13 +25,14 @@ def sentence(tree: Mapping[str, Any]) -> str:
     Args:
         tree: content of `result.json`.
     """
+    own = str(tree.get("headline") or "")
     if tree["error"]:
         where = "after" if tree["error"].get("finished") else "in"
         return f"The run ended early, {where} “{tree['error']['step']}”: {tree['error']['message']}"
     if tree["teardown_errors"]:
         errors = [f"in “{error['step']}”: {error['message']}" for error in tree["teardown_errors"]]
-        return f"The run did not end well, {'; '.join(errors)}"
-    own, rows = str(tree.get("headline") or ""), tree["measurements"]
+        return f"The run did not end well, {'; '.join(errors)} {own}".strip()
+    rows = tree["measurements"]
     if not rows:
         return f"{own} Nothing was measured.".strip()
     later = _left_out_after_a_failure(rows)

@@ -1,4 +1,4 @@
-"""`hil results`: what earlier runs left is listed, opened, searched, followed and deleted with care."""
+"""`hil results`: what earlier runs left is listed, opened, searched and followed."""
 
 import errno
 import json
@@ -128,25 +128,6 @@ def test_trends_write_a_page_and_a_gate_for_ci(place, capsys):
     assert call(capsys, "trends", "--strict", "--out", "elsewhere.html")[0] == 1
     reported = json.loads(call(capsys, "trends", "--json")[1])
     assert reported["groups"][0]["measurements"][0]["state"] == "drifting"
-
-
-def test_nothing_is_deleted_unless_it_is_confirmed(place, capsys, monkeypatch):
-    monkeypatch.setattr("click.termui.visible_prompt_func", lambda _: "n")
-    code, _, said = call(capsys, "delete", "idle/one")
-    assert code == 4
-    assert "idle/one: idle PASS" in said
-    assert (place / "out" / "idle" / "one" / "result.json").exists()
-    monkeypatch.setattr("click.termui.visible_prompt_func", lambda _: "y")
-    code, out, _ = call(capsys, "delete", "idle/one")
-    assert (code, out.strip()) == (0, "deleted: idle/one")
-    assert not (place / "out" / "idle" / "one").exists()
-
-
-def test_without_a_question_only_whole_names_of_our_own_are_deleted(place, capsys):
-    for name in ("idle/on", "newer", "../.."):
-        assert call(capsys, "delete", name, "--yes")[0] == 2
-    reported = call(capsys, "delete", "idle/one", "--yes", "--json")[1]
-    assert reported == '{"deleted": ["idle/one"], "stays": {}}\n'
 
 
 def test_a_folder_without_results_is_reported(place, capsys):

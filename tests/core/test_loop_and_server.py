@@ -28,7 +28,7 @@ from hil.loop.cycle_data import Check
 from hil.loop.device_set import DeviceSet
 from hil.loop.driven_motion import Motion
 from hil.loop.pipeline import ControlPipeline
-from hil.loop.safety_limits import SafetyLimits
+from hil.loop.safety_limits import Checks, SafetyLimits
 from hil.loop.supervisor import Supervisor
 from hil.replay.difference_limits import Agreement
 from hil.replay.verification import verify_cycle
@@ -139,11 +139,11 @@ class Busy(Sink):
         pass
 
 
-def make(silent_after_ns=NEVER_NS, sinks=lambda clock: ()):
+def make(silent_after_ns=NEVER_NS, sinks=lambda clock: (), added=()):
     clock = VirtualClock(World(StillPlant()))
     rig = DeviceSet(clock, servos=Servos(clock, silent_after_ns), sensors={"mocap": Mocap(clock)})
     pipeline = ControlPipeline(
-        Supervisor(SafetyLimits()),
+        Supervisor(SafetyLimits(), checks=Checks(added={"servos": added})),
         Alignment(AlignmentParameters()),
         Standing(),
         Forward(),
@@ -219,8 +219,7 @@ class Slack(Check):
 
 
 def test_the_record_of_a_stop_keeps_what_the_checks_measured_and_verifies_with_and_without():
-    _, loop = make(sinks=lambda clock: (Busy(clock, -1, 0),))
-    loop.pipeline.supervisor.in_order.append(("", Slack()))
+    _, loop = make(sinks=lambda clock: (Busy(clock, -1, 0),), added=(Slack(),))
     with pytest.raises(SafetyStop, match="slack"):
         loop.run(lambda r: False)
     records = loop.sinks[0].seen
@@ -237,8 +236,7 @@ def test_a_run_that_was_ended_from_outside_has_no_figures_of_the_cycle_before():
         def objection(self):
             return RecordingError("disk", "is full") if len(self.seen) == 2 else None
 
-    _, loop = make(sinks=lambda clock: (Full(clock, -1, 0),))
-    loop.pipeline.supervisor.in_order.append(("", Slack()))
+    _, loop = make(sinks=lambda clock: (Full(clock, -1, 0),), added=(Slack(),))
     with pytest.raises(RecordingError):
         loop.run(lambda r: False)
     assert [dict(r.state.diagnostics) for r in loop.sinks[0].seen] == [{"rope_n": 20.0}, {"rope_n": 19.0}, {}]

@@ -10,13 +10,16 @@ from hil.procedures.latency import Parameters
 from hil.procedures.latency.fit import Command, fit_delay, fit_driven, fit_response
 from tests.patience import FANLESS
 
+AT_100_HZ = FANLESS | {"loop.rate_hz": 100.0}
+"""A latency is measured at the rate of the shipped bench."""
+
 SHORT = {"reversals": 10}
 
 
 def recover(seed):
     """Errors over stated intervals by name; the camera is late by a hidden time, the rest by what it is."""
     late_s = float(np.random.default_rng([seed, 8]).uniform(-0.012, 0.02))
-    overrides = {**FANLESS, "emulation.tracker": {"latency_s": 0.02 + late_s}}
+    overrides = {**AT_100_HZ, "emulation.tracker": {"latency_s": 0.02 + late_s}}
     measured, true = measured_and_true_ms(seed, Parameters(reversals=10), overrides)
     assert len(true) == 4 + 5 + 5 + 3
     assert true["tracker.stamp_error"] == pytest.approx(1e3 * late_s, abs=1.1)
@@ -59,7 +62,7 @@ def test_its_recording_verifies_from_end_to_end(done):
 def test_devices_that_are_late_fail(tmp_path):
     faults = ("imu:delayed,delay_s=0.05", "encoders:delayed,delay_s=0.03")
     parameters = {"reversals": 8, "devices": "imu,encoders"}
-    done = run("latency", tmp_path / "run", parameters, faults=faults, overrides=FANLESS)
+    done = run("latency", tmp_path / "run", parameters, faults=faults, overrides=AT_100_HZ)
     assert done.result.exit_code == 1
     assert set(done.failed) == {"imu.stamp_error", "imu.age", "encoders.stamp_error"}
     done.assert_held()

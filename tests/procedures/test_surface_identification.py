@@ -11,6 +11,7 @@ from hil.config.loading import load_bench
 from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError
 from hil.fakes.body_interface import JointCommand
+from hil.faults.files import read_faults
 from hil.procedure import BenchSource
 from hil.procedure.runner import dry_run, run_procedure
 from hil.procedures import surface_identification
@@ -27,8 +28,9 @@ WHOLE = {"length_m": "0.4", "hold_step_deg": "1"}
 DAMPING_N_S_M = 30.0
 
 
-def identify(folder, seed=0, parameters=QUICK, **source):
-    source = BenchSource(seed=seed, overrides={"loop.rate_hz": 50.0}, **source)
+def identify(folder, seed=0, parameters=QUICK, faults=(), **source):
+    overrides = {"loop.rate_hz": 50.0}
+    source = BenchSource(seed=seed, overrides=overrides, faults=read_faults(faults), **source)
     result = run_procedure(surface_identification.run, source, options_of(folder, dict(parameters)))
     return result, {row["name"]: row["value"] for row in result.measurements}
 

@@ -299,7 +299,7 @@ def test_runs_are_compared_measurement_by_measurement(folder, tmp_path):
     assert (rows["outside"]["change"], rows["outside"]["ratio"]) == (-1.0, 0.5 / 1.5)
     assert rows["outside"]["outcomes"] == ["FAIL", "PASS"]
     assert rows["reported"]["values"] == [12.0, None]
-    assert table["differences"] == [{"key": "parameters.gain", "values": ["–", "2"]}]
+    assert table["differences"] == [{"key": "parameters.gain", "law": None, "values": ["–", "2"]}]
     assert "outside" in comparison_text(table)
     page = Page(write_compare_page(tmp_path / "compare.html", table).read_text())
     words = " ".join(page.text)
@@ -328,7 +328,7 @@ def test_different_procedures_are_not_compared(folder, tmp_path):
 
 def said_of(declared, values, headline=""):
     rows = judge(declared, values, {}, {}, {}, ended=True)
-    return sentence({"error": None, "headline": headline, "measurements": rows})
+    return sentence({"error": None, "teardown_errors": [], "headline": headline, "measurements": rows})
 
 
 def test_what_was_not_measured_after_a_failure_does_not_count_as_one():
