@@ -7,7 +7,8 @@ SETTINGS is a JSON object:
 - `type`: `JointState` (default), `Twist` or `TwistStamped`;
 - `name`, `position`, `velocity`, `effort`; of a twist `velocity` are the six numbers;
 - `follow`: rolls by the distance of `/odom` from `/reference` along x, times this, in rad/s per m; waits
-  for those of the joint states' cycle;
+  until these and joint states have come since the last answer (joint states that were read ahead are up to a
+  period older than the other two);
 - `best_effort`: offers no reliability;
 - `limit`: ends by itself, killed, after so many commands;
 - `then`: settings that hold instead after `after` commands.
@@ -70,7 +71,7 @@ class Driver:
         self.clock = self.reader("/clock", Clock, False)
         self.odom = self.reader("/odom", Odometry, True)
         self.reference = self.reader("/reference", PoseStamped, True)
-        self.latest = {}
+        self.latest, self.new = {}, set()
 
     def reader(self, name, kind, reliable):
         topic = Topic(self.participant, f"rt{name}", kind)
@@ -78,22 +79,26 @@ class Driver:
 
     def look(self):
         """Whether what is waited for has come."""
-        for name in ("states", "clock", "odom", "reference"):
+        for name in ("reference", "odom", "clock", "states"):  # against the order of sending
             for sample in getattr(self, name).take(N=10):
                 if sample.sample_info.valid_data:
                     self.latest[name] = sample
-                    if name in str(self.settings["on"]):
-                        self.latest["new"] = True
-        if "follow" in self.settings and self.latest.get("new") and not self.is_whole():
+                    self.new.add(name)
+        if not self.awaited() <= self.new or not self.is_whole():
             return False
-        return self.latest.pop("new", False)
+        self.new.clear()
+        return True
+
+    def awaited(self):
+        """Names of what must have come since the last answer."""
+        followed = {"states", "odom", "reference"} if "follow" in self.settings else set()
+        return followed | {name for name in ("states", "clock") if name in str(self.settings["on"])}
 
     def is_whole(self):
-        """Whether estimate and reference of the newest joint states are there."""
-        if not {"states", "odom", "reference"} <= set(self.latest):
-            return False
-        states, odom, reference = (nanoseconds(self.latest[n]) for n in ("states", "odom", "reference"))
-        return odom == reference and abs(states - odom) < 5_000_000
+        """Whether estimate and reference, if they are followed, are of one cycle."""
+        if "follow" not in self.settings:
+            return True
+        return nanoseconds(self.latest["odom"]) == nanoseconds(self.latest["reference"])
 
     def stamp(self):
         how = self.settings.get("stamp", "copy")
