@@ -22,13 +22,11 @@ from hil.links.injection import in_front_of
 from hil.robot.trajectories import Trajectory
 
 _TIMES = 200
-_PART_OF = {"servo": "servos", "encoder": "encoders"}
 
 
 def real_device(config: BenchConfig, fault: Fault) -> str:
     """Name of the real device of a fault; empty where the device is emulated or the bench has none."""
-    first = fault.device.partition(".")[0]
-    name = fault.device if fault.device in config.devices() else _PART_OF.get(first, first)
+    name = fault.device if fault.device in config.devices() else fault.whole
     return name if name in config.devices() and name not in config.emulated() else ""
 
 

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from hil.core.clock import NS_PER_S
 from hil.faults.fault import Fault
 
-_WHOLE = {"servo": "servos", "encoder": "encoders"}
 _PRESSING = ("adhesion", "load_cells", "thrust")
 """Devices that are watched after their opening until the robot is pressed on its wall."""
 
@@ -49,9 +48,8 @@ def ended_before(
 
 def _looked_at(fault: Fault, opening_ns: Mapping[str, tuple[int, int]], all_open_ns: int) -> tuple[int, int]:
     """Begin and end of the time in which opening the bench needs the device of a fault."""
-    part = fault.device.partition(".")[0]
-    begin_ns, end_ns = opening_ns.get(_WHOLE.get(part, part), (0, all_open_ns))
-    return begin_ns, all_open_ns if part in _PRESSING else end_ns
+    begin_ns, end_ns = opening_ns.get(fault.whole, (0, all_open_ns))
+    return begin_ns, all_open_ns if fault.whole in _PRESSING else end_ns
 
 
 def _acted_within(fault: Fault, begin_ns: int, end_ns: int) -> bool:
@@ -60,11 +58,7 @@ def _acted_within(fault: Fault, begin_ns: int, end_ns: int) -> bool:
 
 def acting(faults: Iterable[Fault], world_ns: int) -> tuple[Fault, ...]:
     """Faults that act at a world time, or have ended within the second before it."""
-    return tuple(
-        fault
-        for fault in faults
-        if fault.start_ns <= world_ns and (fault.end_ns is None or world_ns < fault.end_ns + NS_PER_S)
-    )
+    return tuple(fault for fault in faults if _acted_within(fault, world_ns - NS_PER_S, world_ns))
 
 
 def not_met_in_words(faults: Sequence[Fault], world_ns: int, looked_ns: int) -> str:

@@ -47,6 +47,8 @@ _LARGEST, _BRIEFEST = 1e9, 0.001
 Supported = Mapping[str, tuple[str, ...]]
 """Faults that a device can produce, and the options that each takes."""
 PERIODIC = ("period_s", "duty")
+_PART_OF = {"servo": "servos", "encoder": "encoders"}
+"""Devices whose parts have faults of their own, by the first word of a part's name."""
 IN, OUT, BOTH = WAYS = ("in", "out", "both")
 """Directions of a wire, seen from the bench: from the device, towards it."""
 FACTOR, PERIOD_S, DUTY, PROBABILITY, DELAY_S = 5.0, 0.5, 0.5, 0.1, 0.1
@@ -191,6 +193,12 @@ class Fault:
                 f"fault {self}: {key} is {self.options[key]:g}",
                 expected=f"{option.expected} ({option.meaning})",
             )
+
+    @property
+    def whole(self) -> str:
+        """Name of the whole device: `servos` for a fault of `servo.drive_FL`."""
+        first = self.device.partition(".")[0]
+        return _PART_OF.get(first, first)
 
     def active(self, t_ns: int) -> bool:
         """Return whether the fault is active at `t_ns`."""
