@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 from hil.calibration.against_nominal import AgainstNominal, against_nominal
-from hil.calibration.common_damage import check_what_is_left, lacking_motions
+from hil.calibration.common_damage import check_what_is_left
 from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.cross_validation import (
     Table,
@@ -223,11 +223,9 @@ def calibrate(
     begin_ns = clock.now_ns()
     robot = nominal if nominal is not None else Nominal()
     bad = corrupt(recordings, robot)
-    check_what_is_left(recordings, bad, unusable or {})
-    motions = {one.name: one.motion for one in recordings}
+    lacking = check_what_is_left(recordings, bad, unusable or {})
     recordings = [r for r in recordings if r.name not in bad]
     rejected = dict(unusable or {}) | bad
-    lacking = lacking_motions([one.motion for one in recordings], motions, rejected)
     if choice is None and validate and setting.choose_model and can_choose(recordings):
         choice = choose(recordings, candidates(setting, robot.geometry), report=report)
         setting, robot = choice.best.setting, replace(robot, geometry=choice.best.nominal)

@@ -14,7 +14,8 @@ from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import LEAVE_OUT
 
 _DIRECTION = re.compile(r"_c?cw$")
-_NUMBER = re.compile(r"-?\d+(\.\d+)?")
+_NUMBER = re.compile(r"(?<!\w)-?\d+(\.\d+)?")
+"""A number that is no part of a word, as in the name of a column."""
 _LOGS = ("odom", "abs")
 """Names of public pairs, which do not give the motion."""
 _SEVERAL, _ALIKE, _SHARE = 2, 3, 4
@@ -23,7 +24,7 @@ _SEVERAL, _ALIKE, _SHARE = 2, 3, 4
 
 def check_what_is_left(
     recordings: Sequence[Recording], bad: Mapping[str, str], unusable: Mapping[str, str]
-) -> None:
+) -> dict[str, int]:
     """Refuse a set whose left-out recordings have, or seem to have, a cause in common.
 
     That is half of the recordings or more; or every recording of one kind of motion (circles of both
@@ -35,12 +36,15 @@ def check_what_is_left(
         bad: reasons why some of these are left out, by name.
         unusable: reasons why others could not be read, by file.
 
+    Returns:
+        Kinds of motion of which every recording is left out, with the number of their recordings.
+
     Raises:
         DataError: all recordings that are left out, with their reasons, the most frequent one first.
     """
     motions = {one.name: one.motion for one in recordings}
     gone, total = dict(unusable) | dict(bad), len(recordings) + len(unusable)
-    lacking = lacking_motions([motion for name, motion in motions.items() if name not in bad], motions, gone)
+    lacking = _lacking([motion for name, motion in motions.items() if name not in bad], motions, gone)
     same = max(map(len, _alike(unusable)), default=0)
     causes = []
     if 2 * len(gone) >= total and gone:
@@ -57,11 +61,10 @@ def check_what_is_left(
             expected="a cause in single recordings; this one may be in all, also where it does not show",
             remedy=f"look for one cause, and correct it in all recordings; is it in these alone, {LEAVE_OUT}",
         )
+    return lacking
 
 
-def lacking_motions(
-    used: Sequence[str], motions: Mapping[str, str], gone: Mapping[str, str]
-) -> dict[str, int]:
+def _lacking(used: Sequence[str], motions: Mapping[str, str], gone: Mapping[str, str]) -> dict[str, int]:
     """Kinds of motion of which every recording is left out, with the number of their recordings.
 
     Args:
@@ -84,13 +87,10 @@ def _kind(motion: str) -> str:
 
 
 def _alike(reasons: Mapping[str, str]) -> list[list[str]]:
-    """Names of recordings with the same reason, but for numbers; the largest group first.
-
-    A number within a word belongs to the name of a column.
-    """
+    """Names of recordings with the same reason, but for numbers; the largest group first."""
     groups: dict[str, list[str]] = {}
     for name, why in reasons.items():
-        groups.setdefault(re.sub(rf"(?<!\w){_NUMBER.pattern}", "#", why), []).append(name)
+        groups.setdefault(_NUMBER.sub("#", why), []).append(name)
     return sorted(groups.values(), key=len, reverse=True)
 
 

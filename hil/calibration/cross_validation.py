@@ -129,14 +129,11 @@ def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:
 
     Only repetitions with similar end points count together: a line driven in reverse ends elsewhere.
     """
-    ends = [_end_m(r.truth_pose) for r in recordings]
-    groups = _alike(recordings)
-    return {
-        motion: _spread(
-            [[ends[k] for k in group] for group in groups if recordings[group[0]].motion == motion]
-        )
-        for motion in dict.fromkeys(r.motion for r in recordings)
-    }
+    ends: dict[str, list[list[Array]]] = {}
+    for group in _alike(recordings):
+        alike = [_end_m(recordings[k].truth_pose) for k in group]
+        ends.setdefault(recordings[group[0]].motion, []).append(alike)
+    return {motion: _spread(groups) for motion, groups in ends.items()}
 
 
 def unlike_repetitions(runs: Sequence[Track], lever_m: float) -> list[str]:
@@ -175,9 +172,8 @@ def _error_by_metre(run: Track, lever_m: float) -> Array:
     """Last error (3,) in the frame of the first pose, with turns at the wheels, per metre of the path."""
     along = np.abs(np.diff(run.truth[::_ROWS], axis=0))
     way_m = float(np.hypot(along[:, 0], along[:, 1]).sum() + lever_m * along[:, 2].sum())
-    x, y, turn = run.error[-1]
-    c, s = np.cos(run.truth[0, 2]), np.sin(run.truth[0, 2])
-    return np.array([c * x + s * y, c * y - s * x, lever_m * turn]) / max(way_m, _NEAR_START_M)
+    ahead = _in_first_frame(run.truth, run.error[-1, :2])
+    return np.array([*ahead, lever_m * run.error[-1, 2]]) / max(way_m, _NEAR_START_M)
 
 
 def _alike(recordings: Sequence[Recording]) -> list[list[int]]:
@@ -195,8 +191,13 @@ def _alike(recordings: Sequence[Recording]) -> list[list[int]]:
 
 def _end_m(pose: Array) -> Array:
     """Last position (2,) of poses (n, 3), in the frame of the first one."""
+    return _in_first_frame(pose, pose[-1, :2] - pose[0, :2])
+
+
+def _in_first_frame(pose: Array, vector: Array) -> Array:
+    """A vector (2,) in the frame of the first of poses (n, 3)."""
     c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
-    x, y = pose[-1, :2] - pose[0, :2]
+    x, y = vector
     return np.array([c * x + s * y, c * y - s * x])
 
 
