@@ -64,9 +64,6 @@ class _WholeWrites:
         """Bytes written so far."""
         return self._at
 
-    def flush(self) -> None:
-        """Do nothing: there is no buffer."""
-
     def cut(self, length: int) -> None:
         """Drop everything after the first `length` bytes."""
         os.ftruncate(self._fd, length)
