@@ -87,11 +87,12 @@ def command(
     moves = "body" if body else f"wheel {wheel}" if wheel is not None else f"steer {steer}"
     stop, folder = StopRequest(), SessionFolder(out, "jog", moves)
     folder.check()
+    click.echo("keys do not count yet; a line will say when", err=True)
     with stop.noted(), _operator(gamepad) as make_keys, closing(open_aloud(source)) as opened:
         keys = make_keys(opened.clock.now_ns)
         if body:
             lines = BodyKeys(keys, speed_m_s, turn_rad_s)
-            plan = LivePlan(commands=lines, dead_man_s=LET_GO_S, over=lambda: keys.ended)
+            plan = LivePlan(commands=lines, dead_man_s=LET_GO_S, over=keys.over)
         elif wheel is not None:
             plan = _of_joint(
                 opened, keys, f"drive_{wheel}", speed_m_s / float(opened.geometry.radius_m.max())
@@ -100,13 +101,19 @@ def command(
             plan = _of_joint(opened, keys, f"steer_{steer}", turn_rad_s)
         recorder = open_recorder(opened, folder.recording, "stop")
         session = LiveSession(opened, plan, recorder=recorder, stop=stop)
-        hint = f"hold a key: {_WAYS[moves.partition(' ')[0]]}; x ends"
-        keys.ready = partial(click.echo, hint, err=True)
+        keys.ready = partial(_say_ready, moves)
         drive(session, folder, None, as_json=as_json)
         must_be_held(opened, recorder, stop)
         if keys.ended in LOST:
             raise Aborted(keys.ended)
     return EXIT_PASS
+
+
+def _say_ready(moves: str, too_early: bool) -> None:
+    """Tell the operator that keys count from now on, and whether some came before."""
+    if too_early:
+        click.echo("keys came while the bench opened: they did not count", err=True)
+    click.echo(f"hold a key: {_WAYS[moves.partition(' ')[0]]}; x ends", err=True)
 
 
 @contextmanager
@@ -141,4 +148,4 @@ def _of_joint(bench: Bench, keys: Keys, joint: str, rate_rad_s: float) -> LivePl
 
     jog = JointJog(joint, keys, rate_rad_s)
     bench.driven_by = (jog.name, jog)
-    return LivePlan(program=jog, feedback="odometry", over=lambda: keys.ended)
+    return LivePlan(program=jog, feedback="odometry", over=keys.over)

@@ -44,7 +44,8 @@ class Keys(ABC):
 
     Attributes:
         ended: why there will be no more keys; empty before.
-        ready: called when the keys are asked for the first time; those that came before count for nothing.
+        ready: called when the keys are asked for the first time, with whether some came before, which count
+            for nothing.
         stuck: number of times a key was held for too long.
     """
 
@@ -52,12 +53,24 @@ class Keys(ABC):
         self._now_ns = now_ns
         self._key, self._since_ns, self._ignored = "", 0, False
         self.ended, self.stuck = "", 0
-        self.ready: Callable[[], object] | None = None
+        self.ready: Callable[[bool], object] | None = None
+        self._early = False
+
+    def over(self) -> str:
+        """Why there will be no more keys; empty before. Until the keys count, key `x` is looked for here."""
+        if self.ready is not None:
+            self._early |= self.too_early()
+        return self.ended
+
+    def too_early(self) -> bool:
+        """Whether a key is pressed now, before the keys count; it is not kept."""
+        return bool(self.pressed(self._now_ns()))
 
     def held(self) -> str:
         """The held key, `w` for ahead and so on; empty for none. Never blocks."""
         if self.ready is not None:
-            self.ready()
+            self.over()
+            self.ready(self._early)
             self.ready = None
         now_ns = self._now_ns()
         key = self.pressed(now_ns)
@@ -100,6 +113,10 @@ class HeldKeys(Keys):
         if keys:
             self._latest, self._last_ns = keys[-1], now_ns
         return self._latest
+
+    def too_early(self) -> bool:
+        """Whether keys have come since the last call; they are not kept."""
+        return bool(self._arrived())
 
     def _arrived(self) -> str:
         """All keys since the last call."""

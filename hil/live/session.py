@@ -110,7 +110,7 @@ class LivePlan:
         dead_man_s: age at which a velocity command counts as `stop`.
         known: path that is known to keep the bench's limits; its segments at the end of the trajectory are
             not checked again while the robot waits.
-        over: returns, once per cycle, why the operator wants the end; empty to go on.
+        over: returns why the operator wants the end, empty to go on; called before the first cycle, too.
     """
 
     trajectory: MakeTrajectory | None = None
@@ -345,10 +345,10 @@ class LiveSession:
         return over
 
     def end_if_asked(self) -> None:
-        """Before anything moves: raise `Aborted` if a signal has asked for the end."""
-        if self._stop.name:
-            self.ended = self._stop.name
-            raise Aborted(f"ended by {self._stop.name} before the robot was asked to move")
+        """Before anything moves: raise `Aborted` if a signal or the operator has asked for the end."""
+        if why := self._stop.name or self.plan.over():
+            self.ended = why
+            raise Aborted(f"ended by {why} before the robot was asked to move")
 
 
 def _standing(pose: Array) -> Trajectory:

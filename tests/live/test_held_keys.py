@@ -86,10 +86,25 @@ def test_the_end_is_a_key_or_the_loss_of_the_terminal():
 
 def test_the_operator_is_told_once_when_keys_begin_to_count(terminal):
     keys, told = HeldKeys(terminal.line, lambda: terminal.t_ns), []
-    keys.ready = lambda: told.append(terminal.t_ns)
+    keys.ready = told.append
     os.write(terminal.keyboard, b"w")
+    assert keys.over() == ""
     assert keys.held() == "", "what was pressed before counts for nothing"
     terminal.t_ns += 10 * MS
     os.write(terminal.keyboard, b"s")
     assert keys.held() == "s"
-    assert len(told) == 1
+    assert told == [True], "and is told that it did"
+
+
+def test_nobody_is_told_of_early_keys_who_pressed_none(terminal):
+    keys, told = HeldKeys(terminal.line, lambda: terminal.t_ns), []
+    keys.ready = told.append
+    assert (keys.over(), keys.held()) == ("", "")
+    assert told == [False]
+
+
+def test_the_end_is_asked_for_before_keys_count(terminal):
+    keys = HeldKeys(terminal.line, lambda: terminal.t_ns)
+    keys.ready = lambda _: None
+    os.write(terminal.keyboard, b"wx")
+    assert keys.over() == "key x"
