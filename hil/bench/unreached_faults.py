@@ -61,13 +61,14 @@ def acting(faults: Iterable[Fault], world_ns: int) -> tuple[Fault, ...]:
     return tuple(fault for fault in faults if _acted_within(fault, world_ns - NS_PER_S, world_ns))
 
 
-def not_met_in_words(faults: Sequence[Fault], world_ns: int, looked_ns: int) -> str:
+def not_met_in_words(faults: Sequence[Fault], world_ns: int, looked_ns: int, first_ns: int) -> str:
     """One line for the user about faults that met no cycle.
 
     Args:
         faults: faults that begin later than `world_ns`, or ended before the first cycle.
         world_ns: world time when the bench was closed.
         looked_ns: world time when the check of the stopped robot was over.
+        first_ns: world time of the first cycle.
     """
     late = not_begun(faults, world_ns)
     begin_s = {str(fault): fault.start_ns / NS_PER_S for fault in late}
@@ -80,8 +81,9 @@ def not_met_in_words(faults: Sequence[Fault], world_ns: int, looked_ns: int) -> 
         if spec not in never
     ]
     reported += [
-        f"fault {fault} was over before the first control cycle, and did not act while its device was "
-        "opened, so that nothing that was done has met it"
+        f"fault {fault} was over before the first control cycle, at {first_ns / NS_PER_S:.2f} s of world "
+        "time, and did not act while its device was opened, so that nothing that was done has met it: let it "
+        "begin later, or last until then"
         for fault in faults
         if fault not in late
     ]

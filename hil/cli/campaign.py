@@ -32,6 +32,7 @@ from hil.core.errors import (
 from hil.core.known_names import LAWS
 from hil.core.result_names import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
 from hil.support.atomic_files import check_name, write_text
+from hil.support.extras import how_to_install
 
 if TYPE_CHECKING:
     from hil.campaign import Case, Row
@@ -74,8 +75,7 @@ _VERDICTS = {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL"}
 @click.option(
     "--workers",
     type=click.IntRange(0, 1000),
-    default=os.cpu_count() or 1,
-    help="Processes; 0 runs here, without Dask [default: one per core].",
+    help="Processes, by Dask; 0 runs in this one [default: one per core, or 0 without Dask].",
 )
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead.")
 @click.option("--out", type=OUT, help="Results [default: out/campaign_NAME/TIME].")
@@ -94,7 +94,7 @@ def command(
     axes: tuple[str, ...],
     request: BenchRequest,
     answers: Path | None,
-    workers: int,
+    workers: int | None,
     scheduler: str | None,
     out: Path | None,
     keep: Keep,
@@ -107,7 +107,7 @@ def command(
 
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
-    from hil.campaign import check_dask, expand, parse_axis, parse_seeds
+    from hil.campaign import expand, parse_axis, parse_seeds
     from hil.campaign.plan import check, keep_plan, locked_folder
     from hil.campaign.run_case import Setup
     from hil.procedure.procedure_lookup import load_procedure
@@ -140,8 +140,7 @@ def command(
                 remedy="leave --scheduler out",
             )
     check(setup, proc, cases)
-    if workers or scheduler:
-        check_dask()
+    processes = _processes(workers, scheduler or "")
     if out is None:
         if resume:
             raise UsageError("--resume needs the folder of the campaign", remedy="name it with --out")
@@ -165,7 +164,7 @@ def command(
                 shown_when_ended(finished, show),
             ):
                 publish = None if publisher is None else publisher.sink
-                _run(setup, proc, cases, done, out, workers, scheduler or "", publish)
+                _run(setup, proc, cases, done, out, processes, scheduler or "", publish)
             rows = [done[case] for case in cases]
             tree = _write(out, proc, setup, cases, rows)
         except DataError as error:
@@ -176,6 +175,27 @@ def command(
         click.echo(_text(tree))
         click.echo(f"page: {shown_path(out / CAMPAIGN_PAGE)}")
     return exit_code(rows)
+
+
+def _processes(asked: int | None, scheduler: str) -> int:
+    """Number of worker processes, 0 for this one: as asked, else one per core where Dask is installed.
+
+    Raises:
+        UsageError: Dask is asked for, and not installed.
+    """
+    from hil.campaign import check_dask
+
+    if asked == 0 and not scheduler:
+        return 0
+    try:
+        check_dask()
+    except UsageError:
+        if asked is not None or scheduler:
+            raise
+        more = f"several at a time: {how_to_install('campaign')}"
+        click.echo(f"Dask is not installed: one run after the other, in this process ({more})", err=True)
+        return 0
+    return asked if asked is not None else os.cpu_count() or 1
 
 
 def _absolute(given: str | Path) -> str:

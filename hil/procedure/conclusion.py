@@ -103,7 +103,8 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
     planned = source.planned_faults()
     if past is None:  # the world time that an interrupted run reached is not known
         missed = not_begun(planned, benches.world_ns) + (benches.too_early or ())
-    reported = [not_met_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
+    times_ns = benches.world_ns, benches.looked_ns, benches.first_cycle_ns
+    reported = [not_met_in_words(missed, *times_ns)] if missed else []
     known = "" if error is None else error.message
     header = source.header()
     calibration = header["calibration"] or {}

@@ -64,7 +64,7 @@ class Driven:
         held: final report of the bench on the hold of the robot.
         tethered: True if the robot was on a tether.
         too_early: same as `faults_too_early()` of the bench.
-        world_ns, looked_ns, failed: same as `world_ns`, `looked_ns` and `lost` of the bench.
+        times_ns, failed: same as `world_ns`, `looked_ns` and `first_cycle_ns`, and `lost`, of the bench.
         histories: values for what every report shows by itself.
         events: events that the bench has seen, as rows of `hil.core.event_rows`.
         lost: reason why the recording is missing or incomplete; empty if it is complete or was not wanted.
@@ -78,8 +78,7 @@ class Driven:
     held: Held
     tethered: bool
     too_early: tuple[Fault, ...]
-    world_ns: int
-    looked_ns: int
+    times_ns: tuple[int, int, int]
     failed: tuple[str, ...]
     histories: Histories
     events: list[dict[str, Any]]
@@ -105,7 +104,7 @@ def driven(sent: Sent[Any]) -> Driven:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, (), 0, 0, (), histories, [], "", None)
+        return Driven(None, refused, 0.0, "", bench.held, tethered, (), (0, 0, 0), (), histories, [], "", None)
     for sink in (*(() if recorder is None else (recorder,)), *histories.sinks()):
         bench.add_sink(sink)
     try:
@@ -134,8 +133,7 @@ def driven(sent: Sent[Any]) -> Driven:
         bench.held,
         tethered,
         bench.faults_too_early(),
-        bench.world_ns,
-        bench.looked_ns,
+        (bench.world_ns, bench.looked_ns, bench.first_cycle_ns),
         tuple(bench.lost),
         histories,
         bench.seen.rows(),

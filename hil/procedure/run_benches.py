@@ -129,6 +129,7 @@ class RunBenches:
         world_ns: time of the emulated world when its bench was closed, ns; the latest of several worlds.
         too_early: faults that were over before the first cycle of every bench; None before the first bench.
         looked_ns: the same for the end of the check of the stopped robot.
+        first_cycle_ns: the same for the first cycle.
         lost: messages about devices that ended runs of the loop.
         granted: parameters of the bench file, and what measurements said about them, by key.
         injected: faults in front of real devices, with what they have hit (`Injection.report`).
@@ -147,7 +148,7 @@ class RunBenches:
         self.left_behind = False
         before, finished = (past.held, past.checkpoints) if past else ((), ())
         self.left = HoldRecord(results.journal, self.guard, before, finished)
-        self.world_ns = self.looked_ns = 0
+        self.world_ns = self.looked_ns = self.first_cycle_ns = 0
         self.too_early: tuple[Fault, ...] | None = None
         self.lost: list[str] = []
         self.granted: dict[str, CrossCheck] = {}
@@ -213,7 +214,8 @@ class RunBenches:
         return "; ".join(f"{name} was left out from {t_s:.2f} s on" for name, t_s in out.items())
 
     def _leave(self, bench: Bench) -> None:
-        self._came(bench.world_ns, bench.looked_ns, bench.faults_too_early())
+        times_ns = bench.world_ns, bench.looked_ns, bench.first_cycle_ns
+        self._came(times_ns, bench.faults_too_early())
         self.lost += bench.lost
         for row in bench.parameters.rows():
             if row.state != "unconfirmed" and not row.on:
@@ -224,10 +226,11 @@ class RunBenches:
         tethered = bench.config.safety.tethered
         self.left.add(self._bench_name, bench.held, bench.seen.rows(), tethered=tethered)
 
-    def _came(self, world_ns: int, looked_ns: int, too_early: tuple[Fault, ...]) -> None:
+    def _came(self, times_ns: tuple[int, int, int], too_early: tuple[Fault, ...]) -> None:
         before = too_early if self.too_early is None else self.too_early
         self.too_early = tuple(fault for fault in before if fault in too_early)
-        self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
+        before_ns = self.world_ns, self.looked_ns, self.first_cycle_ns
+        self.world_ns, self.looked_ns, self.first_cycle_ns = map(max, before_ns, times_ns)
 
     def at_once(self, jobs: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
         """Drive benches in worker processes, as `Context.at_once` does."""
@@ -259,7 +262,7 @@ class RunBenches:
 
     def _take_over(self, found: Driven, name: str) -> None:
         self.guard.add(found.driven_s)
-        self._came(found.world_ns, found.looked_ns, found.too_early)
+        self._came(found.times_ns, found.too_early)
         self.lost += found.failed
         self._histories.follow(found.histories)
         if found.pressed and self.left.held is None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _EVERY_NS = nanoseconds(0.05)
 _DRIVEN_M = 0.01
+_WIDTHS = {"reference": 4.2, "estimate": 2.2, "truth": 0.9}
+"""Widths of the lines, pt: where they lie on each other, all are seen."""
 _NOWHERE = (math.nan, math.nan)
 CAPTION = (
     "Above: where the robot was meant to be, where the estimate had it, and where it was. Below: how far "
@@ -69,8 +71,10 @@ class PathHistory(Sink):
         colours = {"reference": PALETTE["reference"], "estimate": SERIES[0], "truth": PALETTE["truth"]}
         figure = new_figure(5.2, 5.0)
         axes = style(figure.add_subplot(2, 1, 1), "Y, left (m)", "X (m)")
-        for name, path in paths.items():
-            axes.plot(path[:, 1], path[:, 0], color=colours[name], lw=1.4, label=name)
+        for name in ("reference", "estimate", "truth"):  # wide below narrow: none hides another
+            if name in paths:
+                path = paths[name]
+                axes.plot(path[:, 1], path[:, 0], color=colours[name], lw=_WIDTHS[name], label=name)
         axes.set_aspect("equal", adjustable="datalim")
         axes.invert_xaxis()
         legend(axes)

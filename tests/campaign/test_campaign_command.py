@@ -343,6 +343,13 @@ def test_without_dask_it_says_what_to_install(campaign, monkeypatch):
     assert "-m pip install 'dask[distributed]" in said
 
 
+def test_without_dask_nobody_has_to_ask_for_one_process(script, capsys, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    options = ("--bench", "emulated_floor", "--keep", "results", "--seeds", "0:2", "--out", "o")
+    assert main(["campaign", script, *options]) == 0
+    assert capsys.readouterr().err.count("Dask is not installed") == 1
+
+
 def test_a_scheduler_that_does_not_answer(campaign):
     pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
     code, _, said = campaign("--seeds", "0", "--scheduler", "nonsense://1", "--out", "o")

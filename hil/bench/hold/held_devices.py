@@ -169,6 +169,11 @@ class HeldDevices:
             return 0
         return (self.clock.now_ns() if t_ns is None else t_ns) - self._begun_ns
 
+    @property
+    def first_cycle_ns(self) -> int:
+        """World time of the first cycle; 0 before it."""
+        return 0 if self.seen.first_ns is None else self._since_begun_ns(self.seen.first_ns)
+
     def faults_without_effect(self) -> tuple[Fault, ...]:
         """Faults in front of real devices that have begun and hit no message."""
         return self.injection.without_effect()
@@ -188,11 +193,11 @@ class HeldDevices:
         since = self._since_begun_ns
         opening = {name: (since(a), since(b)) for name, (a, b) in self.devices.opening_ns.items()}
         own = [fault for fault in self.faults if not real_device(self.config, fault)]
-        return ended_before(own, since(self.seen.first_ns), opening, since(self._open_ns))
+        return ended_before(own, self.first_cycle_ns, opening, since(self._open_ns))
 
     def not_met_in_words(self, faults: Sequence[Fault]) -> str:
         """One line about some of `faults_not_met`."""
-        return not_met_in_words(faults, self.world_ns, self.looked_ns)
+        return not_met_in_words(faults, self.world_ns, self.looked_ns, self.first_cycle_ns)
 
     def on_close(self, callback: Callable[[], object]) -> None:
         """Register a callback that is called when the bench closes, after the devices."""
