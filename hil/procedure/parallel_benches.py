@@ -104,7 +104,8 @@ def driven(sent: Sent[Any]) -> Driven:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, (), (0, 0, 0), (), histories, [], "", None)
+        unseen = (), (0, 0, 0), ()
+        return Driven(None, refused, 0.0, "", bench.held, tethered, *unseen, histories, [], "", None)
     for sink in (*(() if recorder is None else (recorder,)), *histories.sinks()):
         bench.add_sink(sink)
     try:
