@@ -275,6 +275,14 @@ def _end(item: pytest.Item, report: pytest.TestReport) -> None:
             del item.stash[key]
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_keyboard_interrupt(excinfo: pytest.ExceptionInfo[BaseException]) -> None:
+    """Prepare the report of a session that a signal ends, wherever the signal met it."""
+    from hil.pytest_plugin.traceback_lines import with_lines
+
+    with_lines(excinfo.tb)
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """After the last teardown, finish recordings that are still open."""

@@ -117,3 +117,36 @@ def test_a_session_that_is_ended_from_outside_leaves_the_robot_held(pytester, na
         assert str(recording.relative_to(pytester.path)) in said
         assert str(page.relative_to(pytester.path)) in said
         assert len(open_recording(recording).run(0).records) > 5
+
+
+LINELESS = """
+import pathlib
+
+def test_endless(bench):
+    pathlib.Path("begun").touch()
+    for _ in iter(int, 1):
+        for shut in (True,):
+            if shut:
+                break
+        else:
+            shut = False
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGINT", marks=LONG)])
+def test_a_signal_that_meets_an_instruction_without_a_line_is_reported(pytester, name):
+    """What heeds signals in this loop has no line in CPython 3.11: pytest ended with a TypeError and 1."""
+    pytester.makepyfile(test_mine=LINELESS)
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
+    session = subprocess.Popen(command, cwd=pytester.path, stdout=subprocess.PIPE, text=True)
+    try:
+        until = time.monotonic() + 200.0
+        while not (pytester.path / "begun").exists() and session.poll() is None:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        os.kill(session.pid, getattr(signal, name))
+        said, _ = session.communicate(timeout=100)
+    finally:
+        session.kill()
+    assert session.returncode == pytest.ExitCode.INTERRUPTED
+    assert "test_mine.py::test_endless: HELD" in said
