@@ -3,11 +3,9 @@
 Resuming needs the same plan, files and versions.
 """
 
-import fcntl
 import json
-import os
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from hil.procedure.operator import Answers
 from hil.procedure.parameters import as_dict, make_parameters
 from hil.support.atomic_files import make_folder, put_whole
 from hil.support.file_reading import read_json
+from hil.support.folder_lock import locked
 from hil.support.versions import make
 
 SCHEMA = 1
@@ -65,16 +64,7 @@ def locked_folder(out: Path, *, resume: bool) -> Iterator[None]:
             make_folder(out)
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written ({reason_of(error)})") from None
-    with ExitStack() as stack:
-        with suppress(OSError):
-            folder = os.open(out, os.O_RDONLY)
-            stack.callback(os.close, folder)
-            try:
-                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise UsageError(
-                    f"{out}: a campaign is at work there", remedy="wait for its end, or choose another --out"
-                ) from None
+    with locked(out, "a campaign"):
         yield
 
 

@@ -22,6 +22,7 @@ from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean, shown_path
 from hil.core.result_names import FAULTS_MATRIX, FAULTS_PAGE
 from hil.support.atomic_files import check_file
+from hil.support.folder_lock import locked
 
 if TYPE_CHECKING:
     from hil.fault_matrix import Cell, CellVerdict, KeptVerdicts
@@ -101,7 +102,7 @@ def command(
     check_file(out / FAULTS_MATRIX)
     out.mkdir(parents=True, exist_ok=True)
     where = os.path.abspath(bench) if os.path.isfile(bench) else bench
-    with KeptVerdicts(out, where, resume=resume) as kept:
+    with locked(out, "a fault campaign"), KeptVerdicts(out, where, resume=resume) as kept:
         there = {verdict.cell: verdict for verdict in kept.there}
         if others := len(there.keys() - set(cells)):
             raise UsageError(

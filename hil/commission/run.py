@@ -31,8 +31,9 @@ from hil.procedure.run_journal import differences, read_journal
 from hil.procedure.run_result import Result
 from hil.procedure.runner import RunOptions, header_of, run_procedure
 from hil.report.commission_page import write_commission_page
-from hil.support.atomic_files import check_folder
+from hil.support.atomic_files import check_folder, make_folder
 from hil.support.file_reading import dotted, read_json, read_toml
+from hil.support.folder_lock import locked
 from hil.support.progress import WHOLE, Report, silent
 
 RECORD = "robot"
@@ -93,6 +94,14 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
         HilError: something was wrong before anything could move.
     """
     check_folder(asked.folder)
+    if not asked.resume:
+        make_folder(asked.folder)
+    with locked(asked.folder, "a commissioning"):
+        return _commissioned(asked)
+
+
+def _commissioned(asked: Commission) -> tuple[dict[str, Any], int]:
+    """As `commission`, in its locked folder."""
     state = state_of(asked.folder, asked.options(), resume=asked.resume)
     config = asked.source.config
     record = Path(config.record.folder) if config.record.folder else (asked.folder / RECORD).resolve()

@@ -7,6 +7,7 @@ run describes what would be done, without moving anything.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from hil.bench.loop_settings import geometry_of, motion_limits
@@ -38,6 +39,7 @@ from hil.procedure.run_outputs import RunOutputs
 from hil.procedure.run_result import KEEPING, Failure, Result, write_result
 from hil.robot.motion_limits import check
 from hil.support.atomic_files import make_folder, where_else
+from hil.support.folder_lock import locked
 
 __all__ = ["RunOptions", "dry_run", "header_of", "run_procedure"]
 
@@ -53,7 +55,8 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         options: folder, clock, parameters, operator and the like.
 
     Raises:
-        HilError: a problem found before anything could move (configuration, parameters, journal).
+        HilError: a problem found before anything could move (configuration, parameters, journal, another run
+            at work in the folder).
     """
     with options.interrupts.interruptible():  # nothing is open, and functions of the script may hang
         given = with_own_devices(proc.parameters, options.parameters, source.config)
@@ -62,16 +65,28 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         source.check_faults()
         declared = proc.declared(parameters, source.config)
         header = header_of(proc, parameters, declared, source)
-    past = _past(options, header, source.config)
-    with (
-        options.interrupts.installed(),
-        options.interrupts.deferred(),
-        closing(Journal(options.folder / JOURNAL, options.on_recording_failure)) as journal,
-    ):
-        journal.add(*_first_word(header, options, past))
-        results = RunOutputs(options.folder, declared, journal, options.keep)
-        benches = RunBenches(source, results, options, past)
-        return _recorded_run(Context(proc, parameters, options, results, benches))
+    if not options.resume:
+        _make_folder(options.folder)
+    with locked(options.folder, "a run"):
+        past = _past(options, header, source.config)
+        with (
+            options.interrupts.installed(),
+            options.interrupts.deferred(),
+            closing(Journal(options.folder / JOURNAL, options.on_recording_failure)) as journal,
+        ):
+            journal.add(*_first_word(header, options, past))
+            results = RunOutputs(options.folder, declared, journal, options.keep)
+            benches = RunBenches(source, results, options, past)
+            return _recorded_run(Context(proc, parameters, options, results, benches))
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        make_folder(folder)
+    except OSError as error:
+        raise ConfigError(
+            f"{folder}: cannot be created ({reason_of(error)})", remedy=where_else(error)
+        ) from None
 
 
 def _first_word(header: Entry, options: RunOptions, past: PastRun | None) -> tuple[str, Entry]:
@@ -139,12 +154,6 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
             raise ConfigError(
                 f"{folder}: holds the results of another run", remedy="choose another --out, or --resume"
             )
-        try:
-            make_folder(folder)
-        except OSError as error:
-            raise ConfigError(
-                f"{folder}: cannot be created ({reason_of(error)})", remedy=where_else(error)
-            ) from None
         return None
     past = read_journal(folder / JOURNAL)
     different = differences(past.header, header, config)

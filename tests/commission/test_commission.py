@@ -21,7 +21,7 @@ from hil.config.loading import load_bench
 from hil.config.robot_record import PARTS, Figure, NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
 from hil.core.clock import MonotonicClock
-from hil.core.errors import Aborted, ConfigError
+from hil.core.errors import Aborted, ConfigError, UsageError
 from hil.faults.files import read_faults
 from hil.procedure import BenchSource
 from hil.procedure.interrupts import Interrupts
@@ -30,6 +30,7 @@ from hil.procedure.operator import Terminal, go_ahead
 from hil.procedure.run_result import KEEPING, Failure, Result
 from hil.procedures.wall_ablation import EVERYTHING, NOTHING
 from hil.report import commission_page
+from hil.support.folder_lock import locked
 
 TINY = (
     Stage("tracker_extrinsics", "floor", 1.0, {"turn_deg": 30.0, "way_m": 0.15, "repetitions": 1}),
@@ -77,6 +78,17 @@ def test_what_has_passed_is_not_repeated(tmp_path, passing):
         commission(asked(folder, resume=True, source=concrete))
     with pytest.raises(ConfigError, match="holds a commissioning"):
         commission(asked(folder))
+
+
+def test_one_that_is_at_work_is_left_alone(tmp_path, passing):
+    folder = tmp_path / "out"
+    assert commission(asked(folder))[1] == 0
+    before = (folder / "commission.json").read_bytes()
+    with locked(folder, "a commissioning"):
+        for resume in (True, False):
+            with pytest.raises(UsageError, match="a commissioning is at work there"):
+                commission(asked(folder, resume=resume))
+    assert (folder / "commission.json").read_bytes() == before
 
 
 def test_the_first_failure_ends_it_with_what_to_do_and_resuming_goes_on_there(tmp_path):

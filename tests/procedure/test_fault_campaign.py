@@ -16,6 +16,7 @@ from hil.fault_matrix import MOMENTS, Cell, CellVerdict, cells_of, random_cells
 from hil.faults.files import read_faults
 from hil.report.history.index import find_results
 from hil.robot.trajectories import line
+from hil.support.folder_lock import locked
 
 SUPPORTED = {
     device: dict.fromkeys(faults, ())
@@ -212,6 +213,17 @@ def test_a_campaign_goes_on_with_what_is_missing_and_writes_one_page(tmp_path, j
     run("--only", "imu:off", "--out", str(tmp_path))
     assert len(judged) == 4
     assert (tmp_path / "cells.before.jsonl").read_text(encoding="utf-8").count("\n") == 9
+
+
+def test_one_that_is_at_work_is_left_alone(tmp_path, judged):
+    before = ["--only", "imu:off", "--out", str(tmp_path)]
+    assert run(*before).return_value == 0
+    cells = (tmp_path / "cells.jsonl").read_bytes()
+    with locked(tmp_path, "a fault campaign"):
+        for more in ((), ("--resume",)):
+            with pytest.raises(UsageError, match="a fault campaign is at work there"):
+                command.main([*before, *more], standalone_mode=False)
+    assert (tmp_path / "cells.jsonl").read_bytes() == cells
 
 
 def test_one_that_is_interrupted_shows_what_it_has_judged(tmp_path, judged, monkeypatch, capsys):

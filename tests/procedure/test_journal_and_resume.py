@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from hil.cli import main
-from hil.core.errors import ConfigError
+from hil.core.errors import ConfigError, UsageError
 from hil.procedure import Measurement, procedure
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.run_journal import Journal, read_journal
@@ -102,6 +102,24 @@ def test_a_broken_journal_is_named_and_nothing_runs(run_small, tmp_path, damage,
     assert caught.value.exit_code == 2
     assert DONE == []
     assert path.read_bytes() == before
+
+
+def test_a_run_that_is_at_work_is_neither_resumed_nor_run_beside(run_small, tmp_path):
+    folder, said = tmp_path / "r", []
+
+    @procedure(name="resumable", measurements=MEASURED)
+    def at_work(ctx):
+        before = (folder / "journal.jsonl").read_bytes()
+        for resume in (True, False):
+            try:
+                run_small(make(), folder, resume=resume)
+            except UsageError as error:
+                said.append(str(error))
+        assert (folder / "journal.jsonl").read_bytes() == before
+
+    assert run_small(at_work, folder).error is None
+    assert DONE == []
+    assert [f"{folder}: a run is at work there" in text for text in said] == [True, True]
 
 
 def test_nothing_to_resume_is_said(run_small, tmp_path):
