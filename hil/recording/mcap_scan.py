@@ -124,11 +124,13 @@ def _pieces(
     from mcap.stream_reader import breakup_chunk
 
     channels: dict[int, Any] = {}
+    unknown = 0
     for at, record in records_of(path, problems):
         try:
             parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
         except Exception as error:  # whatever unpacking makes of damaged bytes
             problems.append(f"the chunk at byte {at} is damaged ({error})")
+            channels = {**_channels_outside_chunks(path), **channels}
             continue
         found = []
         for part in parts:
@@ -136,10 +138,20 @@ def _pieces(
                 channels[part.id] = part
             elif isinstance(part, Message):
                 channel = channels.get(part.channel_id)
+                unknown += channel is None
                 if channel is not None and wanted(channel):
                     found.append((channel, part))
         if found:
             yield found
+    if unknown:
+        problems.append(f"{unknown} messages cannot be read, because nothing says of what topic they are")
+
+
+def _channels_outside_chunks(path: Path) -> dict[int, Any]:
+    """Channels by number that the summary of a file repeats; none where it has no summary."""
+    from mcap.records import Channel
+
+    return {record.id: record for _, record in records_of(path, []) if isinstance(record, Channel)}
 
 
 def _in_order(path: Path) -> bool:

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 from mcap_cases import driving_record
 from recorded import recorded
@@ -14,6 +15,7 @@ from hil.bench import open_bench
 from hil.cli import main
 from hil.core.errors import DataError
 from hil.recording.mcap_reader import read_cycles
+from hil.recording.mcap_scan import records_of
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.record_comparison import first_difference
 from hil.robot.trajectories import line
@@ -64,6 +66,25 @@ def test_rubbish_between_records_is_damage(tmp_path, whole):
         r"ends early at byte 41 \(writer killed, disk full, or damaged there\): unknown",
         reported(tmp_path, whole[:32] + b"\xee" * 200 + whole[232:]),
     )
+
+
+def test_a_damaged_chunk_costs_its_own_cycles_also_where_it_describes_the_topics(tmp_path):
+    path = recorded(tmp_path / "run.mcap", map(driving_record, range(200)), {"config": {}})
+    data, at = path.read_bytes(), [at for at, r in records_of(path, []) if isinstance(r, Chunk)]
+    all_read, found = [record.cycle for record in read_cycles(path)], []
+    for begin in at:
+        path.write_bytes(data[: begin + 2000] + bytes([data[begin + 2000] ^ 0xFF]) + data[begin + 2001 :])
+        problems = []
+        found.append({record.cycle for record in read_cycles(path, problems)})
+        assert re.match(f"the chunk at byte {begin} is damaged", problems[0])
+        assert len(problems) == 1
+    assert len(at) > 3
+    assert all(len(some) < len(all_read) for some in found)
+    assert [sum(cycle in some for some in found) for cycle in all_read] == [len(at) - 1] * len(all_read)
+    path.write_bytes(data[: at[0] + 2000] + b"\xff\xff" + data[at[0] + 2002 : at[-1]])  # without its summary
+    problems = []
+    assert list(read_cycles(path, problems)) == []
+    assert any(re.match(r"\d+ messages cannot be read", problem) for problem in problems)
 
 
 @pytest.fixture(scope="module")
