@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import enum
 import importlib
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from textwrap import dedent
 from typing import Any
@@ -17,6 +18,8 @@ HEAD = """# Python reference
 
 The public classes and functions of the package. Units are SI and part of the names. Poses are
 `(x m, y m, heading rad)` in the frame of the wall. The wheel order is FL, BL, BR, FR everywhere.
+Types stand as in the source: `Array` is a NumPy array of float64, `ArrayLike` is what NumPy makes one of,
+`OnCycle` and `Until` are functions of a `CycleRecord`; `Until` returns True to end.
 [What stays](compatibility.md) lists the modules that keep their names between versions.
 
 This page is written by `docs/make_python_reference.py` from the docstrings.
@@ -152,10 +155,11 @@ def _signature(name: str, value: Any, *, bound: bool = False) -> str:
     except (TypeError, ValueError):
         return name
     given = list(signature.parameters.values())[1 if bound and "self" in signature.parameters else 0 :]
-    shown = list(_parameters([p for p in given if p.name != "cls"]))
+    types = _written_types(value)
+    shown = list(_parameters([p for p in given if p.name != "cls"], types))
     if shown == ["*args", "**kwargs"]:
         return name
-    returns = "" if inspect.isclass(value) else f" -> {_type(signature.return_annotation)}"
+    returns = "" if inspect.isclass(value) else f" -> {types.get('return', 'None')}"
     whole = f"{name}({', '.join(shown)}){returns}"
     if len(whole) <= _WIDTH:
         return whole
@@ -163,21 +167,58 @@ def _signature(name: str, value: Any, *, bound: bool = False) -> str:
     return f"{name}(\n{lines}){returns}"
 
 
-def _parameters(given: list[inspect.Parameter]) -> Iterator[str]:
-    """Parameters as text, with the mark before those that have to be named."""
+def _parameters(given: list[inspect.Parameter], types: Mapping[str, str]) -> Iterator[str]:
+    """Parameters as text, with the mark before those that have to be named.
+
+    Args:
+        given: parameters of one signature.
+        types: types by name of parameter, as text.
+    """
     marked = False
     for one in given:
         if one.kind is one.KEYWORD_ONLY and not marked:
             yield "*"
         marked = marked or one.kind in (one.VAR_POSITIONAL, one.KEYWORD_ONLY)
         stars = {one.VAR_POSITIONAL: "*", one.VAR_KEYWORD: "**"}.get(one.kind, "")
-        known = "" if one.annotation is one.empty else f": {_type(one.annotation)}"
+        known = f": {types[one.name]}" if one.name in types else ""
         default = "" if one.default is one.empty else f" = {_default(one.default)}"
         yield f"{stars}{one.name}{known}{default}"
 
 
-def _type(annotation: Any) -> str:
-    return annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+def _written_types(value: Any) -> dict[str, str]:
+    """Types as the source writes them, by name of parameter or field, and `return`.
+
+    Types at run time are printed differently by each release of Python and NumPy.
+    """
+    if not inspect.isclass(value):
+        return _types_of_function(_source_tree(inspect.unwrap(value)))
+    found: dict[str, str] = {}
+    for base in reversed([b for b in value.__mro__ if b.__module__.startswith("hil")]):
+        for part in _source_tree(base).body:
+            if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name):
+                found[part.target.id] = _type(part.annotation)
+            elif isinstance(part, ast.FunctionDef) and part.name == "__init__":
+                found.update(_types_of_function(part))
+    return found
+
+
+def _source_tree(value: Any) -> Any:
+    """Syntax tree of one function or class."""
+    return ast.parse(dedent(inspect.getsource(value))).body[0]
+
+
+def _types_of_function(function: ast.FunctionDef) -> dict[str, str]:
+    given = function.args
+    every = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+    found = {one.arg: _type(one.annotation) for one in every if one and one.annotation}
+    return {**found, **({"return": _type(function.returns)} if function.returns else {})}
+
+
+def _type(annotation: ast.expr) -> str:
+    """A type as text; a type written as a string without its quotes."""
+    if isinstance(annotation, ast.Constant) and isinstance(annotation.value, str):
+        return annotation.value
+    return ast.unparse(annotation)
 
 
 def _default(value: Any) -> str:
