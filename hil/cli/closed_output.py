@@ -4,7 +4,7 @@ The reader may disappear (`| head`, a closed terminal); later output is discarde
 SIGTERM, as those that drive a robot do, gets SIGTERM and ends with 4, unless its verdict was already known.
 Any other command runs to its end, and its exit code is that of its result, whether the reader left before the
 last line or after it. If the output fails for another reason (a full disk), the exit code is always 4, with
-`Aborted` if the command does not handle SIGTERM.
+`Aborted` if the command does not handle SIGTERM. A character that the terminal's encoding lacks is escaped.
 
 Also makes the `--json` object of a command that ends in an error.
 """
@@ -173,7 +173,7 @@ def _watched(stream: Any) -> tuple[io.TextIOWrapper, _Raw]:
     text = io.TextIOWrapper(
         io.BufferedWriter(raw),
         encoding=stream.encoding,
-        errors=stream.errors,
+        errors="backslashreplace" if stream.errors == "strict" else stream.errors,
         line_buffering=stream.line_buffering,
         write_through=stream.write_through,
     )

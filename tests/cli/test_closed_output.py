@@ -30,6 +30,14 @@ def run(ctx: Context) -> None:
     ctx.measure("value", 0.5)
     ctx.note("after the drive")
 """
+EMPTY = """
+from hil.procedure import Context, procedure
+
+@procedure(name="empty")
+def run(ctx: Context) -> None:
+    "Drives nothing."
+    ctx.note("5 \\u2013 7 mm")
+"""
 NOISE = ("Traceback", "Exception ignored", "BrokenPipe")
 
 
@@ -37,11 +45,12 @@ NOISE = ("Traceback", "Exception ignored", "BrokenPipe")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("closed")
     (folder / "short.py").write_text(SCRIPT)
+    (folder / "empty.py").write_text(EMPTY)
     write_plain(folder / "line_x_1.csv", simulate(hidden_robot(1), "line_x", "x", np.random.default_rng(1)))
     return folder
 
 
-def hil(folder, *arguments, output="read", errors="read"):
+def hil(folder, *arguments, output="read", errors="read", **environment):
     """Exit code, standard output and standard error; `gone`: its reader has left, `closed`: never there."""
     command = [sys.executable, "-m", "hil.cli", *arguments]
     closed = " ".join(f"{n}>&-" for n, state in ((1, output), (2, errors)) if state == "closed")
@@ -54,7 +63,14 @@ def hil(folder, *arguments, output="read", errors="read"):
         for name, state in (("stdout", output), ("stderr", errors))
     }
     done = subprocess.run(
-        command, cwd=folder, stdin=subprocess.DEVNULL, timeout=600, text=True, check=False, **streams
+        command,
+        cwd=folder,
+        env=os.environ | environment,
+        stdin=subprocess.DEVNULL,
+        timeout=600,
+        text=True,
+        check=False,
+        **streams,
     )
     os.close(gone)
     assert not [word for word in NOISE if word in f"{done.stdout}{done.stderr}"]
@@ -73,6 +89,13 @@ COMMANDS = {
 def test_a_command_that_only_reports_ends_with_what_it_found_whether_or_not_it_is_read(folder, name):
     code, *_ = hil(folder, *COMMANDS[name], output="gone")
     assert code == (3 if name == "sick doctor" else 0)
+
+
+def test_a_character_that_the_terminal_lacks_is_escaped_and_the_verdict_stays(folder):
+    """As on a terminal in Latin-1, which has neither this dash nor the quotation marks of the sentences."""
+    code, said, _ = hil(folder, "run", "empty.py", PYTHONIOENCODING="iso-8859-1")
+    assert code == 0
+    assert "note: 5 \\u2013 7 mm" in said
 
 
 @pytest.mark.real_time
