@@ -30,6 +30,7 @@ from hil.core.registry import kinds
 from hil.support.interrupt_signals import handled_by
 
 _OF_HARDWARE = Path("/dev")
+_TERMINALS = "/dev/pts/"
 _NICE = -5
 _PATIENCE_S = 60.0
 
@@ -69,8 +70,8 @@ class PortLinks:
         ]
 
     def _link(self, path: Path, served: str) -> str:
-        if path.is_symlink() and not path.exists():
-            with suppress(OSError):
+        with suppress(OSError):
+            if os.readlink(path).startswith(_TERMINALS) and not path.exists():
                 path.unlink()
         try:
             path.symlink_to(served)

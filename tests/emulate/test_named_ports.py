@@ -64,6 +64,15 @@ def test_a_link_that_a_killed_emulator_left_is_made_anew(links, tmp_path):
     assert os.path.exists(tmp_path / "servos")
 
 
+def test_a_link_of_the_users_own_to_an_adapter_that_is_unplugged_is_left_alone(links, tmp_path):
+    adapter = "/dev/serial/by-id/usb-of-another-day"
+    (tmp_path / "servos").symlink_to(adapter)
+    (reported,) = links.make()
+    assert "is there already and is left alone" in reported
+    links.remove()
+    assert os.readlink(tmp_path / "servos") == adapter
+
+
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     path = tmp_path / "bench.toml"
     path.write_text(TWO.format(tmp_path / "none" / "servos"))
