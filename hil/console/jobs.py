@@ -25,7 +25,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timezone
 from itertools import accumulate
 from pathlib import Path
 from select import PIPE_BUF
@@ -85,7 +85,7 @@ def start(root: Path, words: Sequence[str], title: str) -> Job:
         OSError: the folder cannot be written, or no process started.
     """
     root.mkdir(parents=True, exist_ok=True, mode=0o700)
-    folder = root / f"{datetime.now():%Y%m%d-%H%M%S-%f}"
+    folder = root / f"{datetime.now(timezone.utc):%Y%m%d-%H%M%S-%f}"  # in order also as summer time ends
     folder.mkdir(mode=0o700)
     job = Job(folder, tuple(words), title, time.time())
     reported = {"words": job.words, "title": title, "started": job.started}

@@ -247,6 +247,19 @@ def test_what_a_person_has_stopped_is_shown_as_stopped_and_not_as_a_signal(tmp_p
     assert "SIG" not in state["why"]
 
 
+def test_the_latest_job_is_the_first_also_as_summer_time_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs, "detached", lambda *_: None)
+    try:
+        for zone in ("SUMMER-2", "WINTER-1"):
+            monkeypatch.setenv("TZ", zone)
+            time.tzset()
+            jobs.start(tmp_path, ["info"], zone)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert [job.title for job in jobs.jobs(tmp_path)] == ["WINTER-1", "SUMMER-2"]
+
+
 def test_folders_that_are_no_jobs_are_left_out(tmp_path):
     job_in(tmp_path)
     for name, text in (("a", "{"), ("b", '{"words": 1, "title": "x", "started": 0}'), ("c", "[]")):
