@@ -8,7 +8,7 @@ hardware moves unless the command line names it.
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -227,11 +227,19 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
         item.config.stash[_SEES] = True
         see(item, found)
 
+    with stand_ins_of(item), on_bench_opened(opened):
+        yield
+
+
+@contextmanager
+def stand_ins_of(item: pytest.Item) -> Generator[None, None, None]:
+    """Within the block, allow the real devices of the benches that a test marked `opens_stand_ins` opens."""
     stash = item.config.stash
     stash[_STAND_INS] = item.get_closest_marker("opens_stand_ins") is not None
-    with on_bench_opened(opened):
+    try:
         yield
-    stash[_STAND_INS] = False
+    finally:
+        stash[_STAND_INS] = False
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -21,6 +21,7 @@ from hil.core.registry import kinds
 from hil.fault_matrix import is_tested_itself
 from hil.faults.fault import Fault, make_fault
 from hil.procedure.bench_source import BenchSource
+from hil.pytest_plugin import stand_ins_of
 from hil.pytest_plugin.bench_selection import in_several_processes, source_of, use_source
 
 if TYPE_CHECKING:
@@ -186,10 +187,16 @@ def run(session: pytest.Session) -> None:
 
 def _sound(session: pytest.Session, item: pytest.Item, after: pytest.Item | None) -> float | None:
     """Run a test normally; return its duration with fixtures, s, or None if it was skipped."""
-    reports = runtestprotocol(item, nextitem=after, log=True)
+    reports = _run(item, after, log=True)
     if session.shouldfail:
         raise session.Failed(session.shouldfail)
     return sum(r.duration for r in reports) if any(r.when == "call" and r.passed for r in reports) else None
+
+
+def _run(item: pytest.Item, after: pytest.Item | None, *, log: bool) -> list[pytest.TestReport]:
+    """Run a test with the rights that its markers give; return its reports."""
+    with stand_ins_of(item):
+        return runtestprotocol(item, nextitem=after, log=log)
 
 
 def _quick_first(items: Sequence[pytest.Item], seconds: Sequence[float | None]) -> list[pytest.Item]:
@@ -211,7 +218,7 @@ def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
     """Run tests until one fails; return its name, or an empty text."""
     for item, after in _pairs(items):
         getattr(item, "_initrequest", lambda: None)()  # create the fixtures of the test again
-        if any(report.failed for report in runtestprotocol(item, nextitem=after, log=False)):
+        if any(report.failed for report in _run(item, after, log=False)):
             session._setupstate.teardown_exact(None)
             return item.nodeid
     return ""

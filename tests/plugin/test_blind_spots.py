@@ -53,6 +53,20 @@ def test_a_breakage_that_no_test_notices_fails_the_session(searched):
     assert result.ret == 1
 
 
+def test_a_suite_with_stand_ins_for_hardware_is_searched_as_well(searched):
+    opens = """
+import hil
+import pytest
+from hil.config.loading import load_bench
+
+@pytest.mark.opens_stand_ins
+def test_stand_ins():
+    other = load_bench("bench.toml", overrides={"imu.backend": "real", "imu.port": "/dev/null"})
+    hil.open_bench(other).close()
+"""
+    assert searched(LOOKS + opens, "imu:stuck").ret == 0
+
+
 def test_a_breakage_that_there_is_not_is_refused_with_those_that_there_are(searched):
     result = searched(LOOKS, "imu:stuk")
     result.stderr.fnmatch_lines(["*imu:stuk: no such breakage*imu:stuck*"])
