@@ -187,3 +187,19 @@ def test_the_doctor_says_how_steep_the_robot_stands():
     (finding,) = [f for f in examine(on_a_wall, watch_s=0.5) if f.check == "tilt_rad"]
     assert (finding.device, finding.level) == ("environment", "failure")
     assert "tilted by 90 deg, bench file says 0" in finding.found
+
+
+@pytest.mark.parametrize(("without", "by"), [((), "IMU"), (("imu",), "")])
+def test_only_an_imu_that_is_there_confirms_the_floor(without, by):
+    with hil.open_bench("emulated_floor", overrides=dict.fromkeys(without)) as bench:
+        bench.devices.servos.enable()
+    assert bench.held.state == "not needed"
+    assert (bench.held.by, bench.held.confirmed) == (by, bool(by))
+
+
+def test_what_is_no_gravity_measures_no_tilt():
+    watch = TiltWatch(load_bench("emulated_floor"))
+    for sample in says((0.0, 0.0, 1.0)):
+        watch.saw([SimpleNamespace(**vars(sample) | {"gravity_m_s2": 0.5 * sample.gravity_m_s2})])
+    assert watch.known
+    assert not watch.measured

@@ -380,7 +380,7 @@ class HoldMonitor(Sink):
         if no_floor and no_floor not in why:
             why += f"; {no_floor}"
         if not (self._on_wall or no_floor):
-            known = self.tilt.known
+            known = self.tilt.measured
             by, keys = "IMU" if known else "", ("environment.tilt_rad",)
             return on_the_floor(Held(state, moved_m, why, wanted, by=by, confirmed=known, rests_on=keys))
         by, confirmed, rests_on = self._press.basis(self._clock.now_ns())

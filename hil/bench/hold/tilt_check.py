@@ -87,6 +87,11 @@ class TiltWatch:
         return not self._there or len(self._fresh()) == _SAMPLES
 
     @property
+    def measured(self) -> bool:
+        """Whether an IMU of this robot has measured gravity."""
+        return math.isfinite(self.apart_rad())
+
+    @property
     def begun(self) -> bool:
         """Whether there are samples, but too few to decide: on a busy computer they come late."""
         return 0 < len(self._fresh()) < _SAMPLES
