@@ -11,6 +11,7 @@ from hil.bench.hold.tilt_check import tilt_rad
 from hil.bench.loop_settings import adhesion_limits, can_fall, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
+from hil.config.load_cells import LoadCellsConfig
 from hil.core.clock import MonotonicClock, nanoseconds
 from hil.core.errors import ConfigError, UsageError
 from hil.core.signals import Status, worst
@@ -120,7 +121,8 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     tilted_rad = tilt_rad(config, seen["imu"])
     blows_n = min((min(forces_now_n(table, s)) for s in seen[DEVICE]), default=math.nan)
     limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
-    force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
+    zero_n = 0.0 if (cells := config.of(LoadCellsConfig)) is None else sum(cells.zero_n)
+    force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan) - zero_n
     message = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
     if not (tilted_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
         raise UsageError(

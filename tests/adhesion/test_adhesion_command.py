@@ -20,6 +20,7 @@ from hil.bench import fan_commands, fan_interlock, fan_start_check
 from hil.bench.device_set_from_config import make_device_set
 from hil.bench.fan_commands import daemon_spec, daemon_specs
 from hil.cli import main
+from hil.config.load_cells import LoadCellsConfig
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, UsageError
@@ -322,6 +323,18 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
 def test_one_sensor_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, reported):
     with pytest.raises(UsageError, match=rf"may hang by its fan: .*{reported}.*9.0 N.*--tethered"):
         fan_interlock.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
+
+
+@pytest.mark.parametrize(("cells_n", "zero_n", "off_the_wall"), [(5.0, -40.0, False), (42.0, 40.0, True)])
+def test_the_cells_say_it_by_their_force_without_their_zeros(monkeypatch, cells_n, zero_n, off_the_wall):
+    config = robot(monkeypatch, up=LEVEL, cells_n=cells_n, rpm=30_000.0)
+    cells = config.of(LoadCellsConfig).model_copy(update={"zero_n": (zero_n, 0.0)})
+    config = config.model_copy(update={"load_cells": cells})
+    if off_the_wall:
+        assert "load cells 2.0 N" in fan_interlock.seen_off_the_wall(config)
+    else:
+        with pytest.raises(UsageError, match=r"may hang by its fan: .*load cells 45\.0 N"):
+            fan_interlock.seen_off_the_wall(config)
 
 
 def test_without_witnesses_only_the_operator_can_say_it(monkeypatch):
