@@ -2,11 +2,13 @@
 
 It never stops a fan by itself. A set-point stays until another is requested; it changes along a ramp; only
 `end` leads down to rest. A duty is raised while the battery sags, so that the force stays (`VoltageTrim`). A
-fan that runs already when the daemon starts is taken over as it runs. The same class works in the daemon's
+fan that runs already when the daemon starts is taken over as it runs. How it runs is what several reports
+say: one may be damaged on the wire, and a robot may hang by the fan. The same class works in the daemon's
 process, in a bench that replaces it, and in virtual time.
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -18,6 +20,10 @@ from hil.fan_daemon.voltage_trim import VoltageTrim
 _LISTEN_NS = nanoseconds(1.5)
 """Time after its start in which a daemon looks for a fan that runs already."""
 _FRESH_NS = nanoseconds(1.0)
+_REPORTS, _TOGETHER_NS = 5, nanoseconds(0.25)
+"""Number of reports whose median counts, and their time span."""
+_LIKE = 0.1
+"""Share of the highest set-point by which two reports may differ of a fan that is taken over."""
 _LONGEST_STEP_NS = nanoseconds(0.2)
 _RELEASED_NS = nanoseconds(0.5)
 _MOST_LISTED = 8
@@ -76,6 +82,8 @@ class FanControl:
         self.report_ns: int | None = None
         self.others: set[int] = set()
         self.trim = VoltageTrim()
+        self._recent: deque[tuple[int, Mapping[str, float]]] = deque(maxlen=_REPORTS)
+        self._running: SetPoint | None = None
         self._theirs = False
         self._born_ns: int | None = None
         self._last_ns = 0
@@ -98,11 +106,19 @@ class FanControl:
         self.report.update(values)
         if "erpm" in values:
             self.report_ns = t_ns
+            self._recent.append((t_ns, values))
         sent, target = self.sent, self.target
         if sent is not None and target is not None and not self.ending and target.quantity == "duty":
             self.trim.take(t_ns, values, sent.value, target.value, self._spec.highest["duty"])
         if running is not None and self.sent is None:
-            self._take_over(t_ns, running)
+            before, self._running = self._running, running
+            if before is not None and self._like(before, running):
+                self._take_over(t_ns, max(before, running))
+
+    def _like(self, one: SetPoint, other: SetPoint) -> bool:
+        """Whether two set-points are nearly the same; False where the spec does not have their quantity."""
+        apart = _LIKE * self._spec.highest.get(one.quantity, 0.0)
+        return one.quantity == other.quantity and abs(one.value - other.value) <= apart
 
     def observe_command(self, t_ns: int, order: SetPoint) -> None:
         """Take another program's set-point for this fan: it is exact, the fan's report is rounded.
@@ -195,10 +211,15 @@ class FanControl:
         return SetPoint(point.quantity, min(max(point.value, 0.0), self._spec.highest[point.quantity]))
 
     def _measured(self, t_ns: int, quantity: str) -> float:
-        """How the fan runs now, by its own report; raises `DeviceError` where it is silent."""
-        if self.report_ns is None or t_ns - self.report_ns > _FRESH_NS or quantity not in self.report:
+        """How the fan runs now, by the median of its reports; raises `DeviceError` where it is silent."""
+        newest_ns = self.report_ns
+        if newest_ns is None or t_ns - newest_ns > _FRESH_NS:
             raise self._silent()
-        return self.report[quantity]
+        found = [values.get(quantity) for at_ns, values in self._recent if newest_ns - at_ns <= _TOGETHER_NS]
+        known = sorted(value for value in found if value is not None)
+        if not known:
+            raise self._silent()
+        return known[len(known) // 2]
 
     def _silent(self) -> DeviceError:
         heard = ", ".join(map(str, sorted(self.others)[:_MOST_LISTED]))

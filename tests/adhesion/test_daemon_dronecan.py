@@ -45,7 +45,7 @@ def commands(bus):
 
 def test_a_fan_that_runs_is_taken_over_at_its_speed(kept):
     cycle, bus = kept
-    bus.arriving = messages(RUNNING)
+    bus.arriving = 2 * messages(RUNNING)
     run(cycle, 0.0, 1.0)
     assert commands(bus) == [(frames.RPM_COMMAND, RUNNING["fields"]["rpm"])] * 20
 
@@ -60,7 +60,7 @@ def test_what_another_daemon_sends_is_taken_over_exactly(kept):
 
 def test_it_says_once_a_second_that_it_is_there_and_counts_its_transfers(kept):
     cycle, bus = kept
-    bus.arriving = messages(RUNNING)
+    bus.arriving = 2 * messages(RUNNING)
     run(cycle, 0.0, 3.0)
     here = [data for i, data, _ in bus.sent if i >> 8 & 0xFFFF == frames.NODE_STATUS]
     assert [data[0] for data in here] == [0, 1, 2]
@@ -71,7 +71,7 @@ def test_it_says_once_a_second_that_it_is_there_and_counts_its_transfers(kept):
 
 def test_a_duty_begins_near_the_speed_that_the_fan_has(kept):
     cycle, bus = kept
-    bus.arriving = messages(RUNNING)
+    bus.arriving = 2 * messages(RUNNING)
     run(cycle, 0.0, 0.2)
     cycle.control.set_target(nanoseconds(0.2), SetPoint("duty", 0.9))
     bus.sent.clear()
@@ -84,7 +84,7 @@ def test_a_duty_begins_near_the_speed_that_the_fan_has(kept):
 
 def test_off_ends_at_nothing_on_every_command(kept):
     cycle, bus = kept
-    bus.arriving = messages(RUNNING)
+    bus.arriving = 2 * messages(RUNNING)
     run(cycle, 0.0, 0.5)
     cycle.control.end(nanoseconds(0.5))
     run(cycle, 0.5, 6.0)

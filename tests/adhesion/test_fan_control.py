@@ -32,7 +32,8 @@ def daemon_at(t_ns, **figures):
     """A daemon that has just heard its fan."""
     control = FanControl(SPEC)
     control.next_command(0)
-    report(control, t_ns, **figures)
+    for _ in range(2):
+        report(control, t_ns, **figures)
     return control
 
 
@@ -113,6 +114,26 @@ def test_another_quantity_begins_where_the_fan_is():
     control = daemon_at(0, duty=0.57, erpm=57000.0)
     control.set_target(0, SetPoint("erpm", 60000.0))
     assert control.next_command(0) == SetPoint("erpm", 57000.0)
+
+
+@pytest.mark.parametrize("damaged", range(5))
+def test_one_damaged_report_lowers_no_fan_whose_quantity_changes(damaged):
+    control = daemon_at(0, duty=0.57, erpm=57000.0)
+    control.set_target(0, SetPoint("erpm", 57000.0))
+    for k in range(5):
+        report(control, nanoseconds(0.02 * k), duty=0.057 if k == damaged else 0.57, erpm=57000.0)
+    control.set_target(nanoseconds(0.1), SetPoint("duty", 0.57))
+    assert control.next_command(nanoseconds(0.1)) == SetPoint("duty", 0.57)
+
+
+def test_a_fan_is_taken_over_by_two_reports_that_agree():
+    control = FanControl(SPEC)
+    report(control, 0, duty=0.057)
+    assert control.next_command(0) is None
+    report(control, nanoseconds(0.02), duty=0.571)
+    assert control.next_command(nanoseconds(0.02)) is None
+    report(control, nanoseconds(0.04), duty=0.57)
+    assert control.next_command(nanoseconds(0.04)) == SetPoint("duty", 0.571)
 
 
 def test_off_is_a_ramp_then_a_release_then_silence():
