@@ -184,6 +184,20 @@ def test_a_wheel_is_blocked_at_whatever_angle_it_stands(angle):
     assert "wheel BL" in str(stop)
 
 
+@pytest.mark.parametrize("lost_every", [2, 40])
+def test_lost_reads_hide_no_blocked_wheel(lost_every):
+    watch = supervisor()
+
+    def driven():
+        for k in range(70):
+            yield cycle(k, wrong=None if k % lost_every else {1: Status.TIMEOUT})
+            asked(watch, [0.0, 2.0, 0.0, 0.0])
+
+    stop, _ = stopped(watch, driven())
+    assert stop.reason == "blocked"
+    assert "wheel BL" in str(stop)
+
+
 @pytest.mark.parametrize("joint", [0, 5])
 def test_a_leap_behind_a_short_silence_is_reported_against_the_last_angle_known(joint):
     watch = supervisor()

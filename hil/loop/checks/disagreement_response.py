@@ -60,7 +60,7 @@ class AgreementCheck(Check):
                 self._motion.leave_out(doubt.source)
                 self._excluded.take(doubt, cycle)
             elif checks.needs_camera:
-                standing = self._servos.standing(cycle.inputs.t_ns)
+                standing = self._servos.standing()
                 if standing and "blocked" not in cycle.stops:
                     cycle.stop("blocked", standing)
                 event = self._event(doubt, cycle.inputs.t_ns)

@@ -57,7 +57,7 @@ class ServoCheck(Check):
         """Clear the state of the run."""
         self.asked_rad_s = [0.0] * 4
         self._asked_since_ns: list[int | None] = [None] * 4
-        self._asked_at_rad = [0.0] * 4
+        self._asked_at_rad, self._asked_read_ns = [0.0] * 4, [0] * 4
         self._complete_ns: int | None = None
         self._lost_ns = 0
         self._excused = self.waits = False
@@ -152,26 +152,35 @@ class ServoCheck(Check):
         return f"servo alert of {found}; remove the cause, then reboot the servo"
 
     def _check_turning(self, angles: list[float], t_ns: int, stop: ReportStop) -> None:
-        """Stop if a wheel is commanded to turn and reports the same angle: blocked, or its servo is stuck."""
+        """Stop if a wheel is commanded to turn and reports the same angle: blocked, or its servo is stuck.
+
+        A lost read shows neither motion nor rest.
+        """
         blocked, all_since_ns, at_rad = False, self._asked_since_ns, self._asked_at_rad
         for i, asked_rad_s in enumerate(self.asked_rad_s):
             since_ns, angle = all_since_ns[i], angles[i]
-            if -_BLOCKED_RATE_RAD_S < asked_rad_s < _BLOCKED_RATE_RAD_S or not math.isfinite(angle):
+            if -_BLOCKED_RATE_RAD_S < asked_rad_s < _BLOCKED_RATE_RAD_S:
                 all_since_ns[i] = None
-            elif since_ns is None or abs(angle - at_rad[i]) > _BLOCKED_RAD:
+                continue
+            if not math.isfinite(angle):
+                continue
+            self._asked_read_ns[i] = t_ns
+            if since_ns is None or abs(angle - at_rad[i]) > _BLOCKED_RAD:
                 all_since_ns[i], at_rad[i] = t_ns, angle
             elif t_ns - since_ns > _BLOCKED_NS:
                 blocked = True
         if blocked:
-            stop("blocked", self.standing(t_ns, _BLOCKED_NS))
+            stop("blocked", self.standing(_BLOCKED_NS))
 
-    def standing(self, t_ns: int, longer_than_ns: int = _STANDING_NS) -> str:
+    def standing(self, longer_than_ns: int = _STANDING_NS) -> str:
         """Text: wheels that were commanded to turn for so long and report the same angle; else empty."""
         found = [
             f"wheel {WHEELS[i]} is asked for {self.asked_rad_s[i]:.2f} rad/s and has not turned for "
-            f"{(t_ns - since_ns) / NS_PER_S:.1f} s"
-            for i, since_ns in enumerate(self._asked_since_ns)
-            if since_ns is not None and t_ns - since_ns > longer_than_ns
+            f"{(read_ns - since_ns) / NS_PER_S:.1f} s"
+            for i, (since_ns, read_ns) in enumerate(
+                zip(self._asked_since_ns, self._asked_read_ns, strict=True)
+            )
+            if since_ns is not None and read_ns - since_ns > longer_than_ns
         ]
         return f"{', '.join(found)}: blocked, or its servo repeats old values" if found else ""
 
