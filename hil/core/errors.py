@@ -9,7 +9,7 @@ stderr and `exit_code`; it never shows a traceback for one of these.
 import difflib
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from numbers import Real
 from pathlib import Path
 
@@ -90,6 +90,15 @@ def error_text(error: BaseException) -> str:
     """An exception in one line: its class and its message."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
+
+
+def failure_of(act: Callable[[], object]) -> str:
+    """Call a function whose failure must end nothing else; its exception in one line, empty for none."""
+    try:
+        act()
+    except Exception as error:
+        return error_text(error)
+    return ""
 
 
 class ConfigError(HilError, ValueError):

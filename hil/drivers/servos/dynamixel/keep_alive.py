@@ -63,8 +63,9 @@ class KeepAlive:
             return now_ns + _ALERT_NS
         try:
             well = self._visit()
-        except HilError as error:
-            _LOG.warning("while no loop talked to the servos: %s", error)
+        except Exception as error:  # whatever fails: the next visit may hold the robot
+            named = "" if isinstance(error, HilError) else f"{type(error).__name__}: "
+            _LOG.warning("while no loop talked to the servos: %s%s", named, error)
             well = False
         finally:
             self._lock.release()
