@@ -3,13 +3,18 @@
 Transport only ever delays, so the smallest difference of arrival and device time seen so far is the
 best estimate of their offset. It rises by 100 ppm to follow a slow device clock; with 200 samples per
 second and 2 ms of jitter that keeps it within a tenth of a millisecond. When a prompt sample shows that
-earlier ones were late, times do not go back.
+earlier ones were late, times do not go back. An offset that is much smaller counts once two recent samples
+show it: one wrong stamp would make all samples after it look late for hours.
 """
+
+from collections import deque
 
 _LEAK = 100e-6
 _EARLIEST_NS = 250_000_000
 _LATEST_NS = 5_000_000_000
 _NEW_AXIS_AFTER = 20
+_LEAP_NS, _RECENT = 2_000_000, 8
+"""Decrease of the offset for which two of so many recent samples are needed."""
 _BEGINNING_NS = -(1 << 62)
 
 
@@ -30,6 +35,7 @@ class DeviceClock:
         self._offset_ns = 0.0
         self._seen_ns, self._t_ns = 0, _BEGINNING_NS
         self._strange = 0
+        self._recent: deque[int] = deque(maxlen=_RECENT)
 
     def map(self, device_ns: int, host_ns: int) -> tuple[int, bool]:
         """Bench time of a measurement stamped `device_ns` that arrived at `host_ns`.
@@ -47,10 +53,15 @@ class DeviceClock:
             if self._strange < _NEW_AXIS_AFTER:
                 return self._forward(host_ns - self._latency_ns), False
             self._offset_ns = float(offset_ns)
+            self._recent.clear()
         else:
             passed_ns = host_ns - self._seen_ns
             leaked_ns = self._offset_ns + _LEAK * (passed_ns if passed_ns > 0 else 0)
-            self._offset_ns = leaked_ns if leaked_ns < offset_ns else float(offset_ns)
+            least_ns = offset_ns
+            if offset_ns < leaked_ns - _LEAP_NS and self._recent:
+                least_ns = max(offset_ns, min(self._recent))
+            self._offset_ns = leaked_ns if leaked_ns < least_ns else float(least_ns)
+        self._recent.append(offset_ns)
         self._strange = 0
         self._seen_ns = host_ns
         t_ns = device_ns + round(self._offset_ns) - self._latency_ns

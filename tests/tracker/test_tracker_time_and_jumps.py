@@ -59,6 +59,15 @@ def test_a_new_time_axis_is_taken_up_after_some_insistence():
     assert clock.map(77_000_000_000 + 30 * 5_000_000, 130 * 5_000_000) == (130 * 5_000_000, True)
 
 
+@pytest.mark.parametrize("ahead_ns", [3_000_000, 100_000_000, 240_000_000])
+def test_one_wrong_stamp_makes_no_later_sample_look_late(ahead_ns):
+    clock, period_ns = DeviceClock(latency_ns=0), 5_000_000
+    for k in range(100):
+        device_ns = k * period_ns + (ahead_ns if k == 50 else 0)
+        mapped_ns, _ = clock.map(device_ns, k * period_ns + 1_000_000)
+        assert mapped_ns == pytest.approx(k * period_ns + 1_000_000, abs=50_000)
+
+
 def test_stamps_of_the_driver_are_the_time_of_exposure(tracker_bench, travelling_plant, follow):
     from dataclasses import replace
 
