@@ -1,18 +1,18 @@
 """Keeps the force of a fan while its battery sags and no bench runs: the duty rises as the voltage falls.
 
 Two measurements must agree. The duty is raised only while voltage times duty *and* the speed have fallen
-since the fan settled, and lowered, never below the set-point, only when both have risen. One report that is
-wrong changes nothing.
+since the fan settled, and lowered, never below the set-point, only when both have risen. The median of some
+reports counts for both: one report that is wrong changes nothing, also not as the one that is compared with.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from hil.core.clock import nanoseconds
 
 _SETTLED_NS = nanoseconds(2.0)
 _REPORTS = 5
-"""Number of reports of the voltage whose median counts: a second of them."""
+"""Number of reports of voltage and speed whose median counts: a second of those of the voltage."""
 _TOLERANCE, _MOST = 0.003, 0.02
 _SAGS_SHARE = 0.02
 """Share of the speed that is missing at the highest set-point before the daemon says so."""
@@ -28,7 +28,7 @@ class VoltageTrim:
 
     def __init__(self) -> None:
         self._volts: deque[float] = deque(maxlen=_REPORTS)
-        self._erpm = 0.0
+        self._speeds: deque[float] = deque(maxlen=_REPORTS)
         self.begin()
 
     def begin(self) -> None:
@@ -49,7 +49,8 @@ class VoltageTrim:
             target: duty of the set-point.
             highest: highest duty.
         """
-        self._erpm = values.get("erpm", self._erpm)
+        if "erpm" in values:
+            self._speeds.append(values["erpm"])
         if "input_v" not in values:
             return
         self._volts.append(values["input_v"])
@@ -57,13 +58,13 @@ class VoltageTrim:
             self._since_ns = None
             return
         self._since_ns = t_ns if self._since_ns is None else self._since_ns
-        volts = sorted(self._volts)[len(self._volts) // 2]
-        if t_ns - self._since_ns < _SETTLED_NS or volts <= 0.0 or self._erpm <= 0.0:
+        volts, erpm = _middle(self._volts), _middle(self._speeds)
+        if t_ns - self._since_ns < _SETTLED_NS or volts <= 0.0 or erpm <= 0.0:
             return
         if self._kept is None:
-            self._kept = volts * sent, self._erpm
+            self._kept = volts * sent, erpm
             return
-        missing = self._kept[0] / (volts * sent) - 1.0, self._kept[1] / self._erpm - 1.0
+        missing = self._kept[0] / (volts * sent) - 1.0, self._kept[1] / erpm - 1.0
         change = 0.0
         if min(missing) > _TOLERANCE:
             change = min(*missing, _MOST)
@@ -80,3 +81,8 @@ class VoltageTrim:
                 f"{100.0 * min(missing):.0f} % slower than when it was set; bring the robot down, or change "
                 "the battery"
             )
+
+
+def _middle(values: Collection[float]) -> float:
+    """Median of the values; 0 for none."""
+    return sorted(values)[len(values) // 2] if values else 0.0

@@ -243,7 +243,7 @@ def test_a_spec_survives_the_way_to_the_process():
         Spec.from_json('{"interface": "socketcan", "wheels": 4}')
 
 
-def kept(duration_s, *, pack_ah=1000.0, report=lambda figures: figures):
+def kept(duration_s, *, pack_ah=1000.0, report=lambda figures: figures, after_s=5.0):
     """First and last force of a fan that a daemon keeps on a battery of some charge, and the daemon."""
     fan = Fan(VescConfig(), AdhesionTruthOptions(pack_ah=pack_ah), 1.0)
     fan.begin(30_000.0)
@@ -256,7 +256,7 @@ def kept(duration_s, *, pack_ah=1000.0, report=lambda figures: figures):
         figures = {"duty": fan.duty, "erpm": 3.0 * fan.speed_rpm}
         if k % 4 == 0:
             figures["input_v"] = fan.input_v
-        control.reported(t_ns, 7, report(figures) if t_ns > 5_000_000_000 else figures, None)
+        control.reported(t_ns, 7, report(figures) if t_ns > nanoseconds(after_s) else figures, None)
     return first_n, fan.force_n, control
 
 
@@ -276,6 +276,16 @@ def test_one_wrong_report_changes_nothing(wrong):
 
     first_n, last_n, _ = kept(30.0, report=report)
     assert last_n == pytest.approx(first_n, rel=0.01)
+
+
+def test_one_wrong_speed_when_the_fan_settles_leaves_no_fan_to_sag():
+    reports = itertools.count()
+
+    def report(figures):
+        return figures | {"erpm": figures["erpm"] * (0.5 if next(reports) == 0 else 1.0)}
+
+    first_n, last_n, _ = kept(120.0, pack_ah=2.0, report=report, after_s=1.96)
+    assert last_n == pytest.approx(first_n, rel=0.02)
 
 
 def test_a_battery_that_cannot_keep_the_force_is_told():
