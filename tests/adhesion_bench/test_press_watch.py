@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.bench.hold.adhesion_force import RUN_DOWN_S, AdhesionForceCheck
+from hil.bench.hold.adhesion_force import RUN_DOWN_S, AdhesionForceCheck, press_watch
 from hil.bench.hold.propeller_handover import PropellerObservation, least_push_n
 from hil.bench.loop_settings import adhesion_limits
 from hil.config.loading import load_bench
@@ -220,3 +220,22 @@ def test_propellers_that_report_count_by_what_they_report_and_while_they_do():
     steady(press, STALE_S - 0.05, fan=enough_n)
     assert silent in steady(press, 0.15, fan=enough_n)[-1]
     assert "has no sensor" not in press.words()
+
+
+@pytest.mark.parametrize(("heading_rad", "enough"), [(0.0, True), (0.25, False)])
+def test_before_the_first_estimate_the_robot_is_turned_as_it_stood_at_the_start(heading_rad, enough):
+    overrides = {"thrust.model": "vesc", "environment.start_pose": [0.0, 0.0, heading_rad]}
+    config = load_bench("emulated", overrides=overrides)
+    limits, stamp, force_n = adhesion_limits(config), Stamp(0, 0, 0), 24.0
+    speed_rpm = limits.fan.rated_rpm * (force_n / limits.fan.rated_n) ** 0.5
+    throttle = (limits.nominal_thrust_n / limits.full_thrust_n) ** 0.5
+    halves = np.array([0.5 * (force_n + limits.zero_n)] * 2)
+    samples = {
+        "adhesion": AdhesionSample(stamp, speed_rpm, *[math.nan] * 6),
+        "load_cells": LoadCellSample(stamp, halves, (Status.OK, Status.OK), (0, 0)),
+        "thrust": ThrustSample(stamp, throttle, math.nan),
+    }
+    devices = SimpleNamespace(get=lambda name: SimpleNamespace(read=lambda: (samples[name],)))
+    watch = press_watch(config, devices)
+    watch.begin()
+    assert (watch.doubt(0, sees_slide=True) == "") == enough

@@ -86,9 +86,10 @@ class AdhesionForceCheck:
         pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
         push_keys: keys of the bench file that scale the propellers' push.
         blind: devices that are in another world than the servos: they do not measure this robot.
+        heading_rad: heading of the body at the start.
 
     Attributes:
-        heading_rad: last estimated heading of the body.
+        heading_rad: last estimated heading of the body; that of the start pose before the first estimate.
         waits: True if only the check of propellers without commands is unfinished.
         lacks: True if the measured force is too small, or falls.
     """
@@ -103,6 +104,7 @@ class AdhesionForceCheck:
         pretended: Sequence[str] = (),
         push_keys: Sequence[str] = (),
         blind: Sequence[str] = (),
+        heading_rad: float = 0.0,
     ) -> None:
         self._devices, self._limits, self._pretended = devices, limits, tuple(pretended)
         self._measures = tuple(name for name in MEASURES if name not in blind)
@@ -116,7 +118,7 @@ class AdhesionForceCheck:
         self._push_keys = tuple(push_keys)
         self._push_trouble = ""
         self._measured = None if limits is None else MeasuredForces(limits)
-        self.heading_rad = 0.0
+        self.heading_rad = heading_rad
         self.waits = self.lacks = False
 
     def begin(self, *, for_good: bool = False) -> None:
@@ -337,4 +339,5 @@ def press_watch(config: BenchConfig, devices: DeviceSet) -> AdhesionForceCheck:
     carried = carried and not isinstance(own, DaemonMotorConfig)
     push_keys = () if own is None else own.push_keys
     alone = PropellerObservation(devices, own, asked_n)
-    return AdhesionForceCheck(devices, limits, kept, alone, carried, pretended, push_keys, blind)
+    start_rad = config.environment.start_pose[2]
+    return AdhesionForceCheck(devices, limits, kept, alone, carried, pretended, push_keys, blind, start_rad)
