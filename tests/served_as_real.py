@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -23,7 +23,12 @@ END_S = 20.0
 
 @contextmanager
 def served_as_real(
-    folder: Path, names: Sequence[str] = (), *, profile: str = "emulated_floor", faulty: Sequence[str] = ()
+    folder: Path,
+    names: Sequence[str] = (),
+    *,
+    profile: str = "emulated_floor",
+    faulty: Sequence[str] = (),
+    tables: Mapping[str, object] | None = None,
 ) -> Iterator[Path]:
     """Serve devices of a profile; yield the path of a bench file in which they are real.
 
@@ -32,8 +37,9 @@ def served_as_real(
         names: devices of the bench; all of the profile by default.
         profile: name of the profile.
         faulty: devices whose messages may be damaged; all by default.
+        tables: other keys of that file, by their dotted names.
     """
-    config = load_bench(profile)
+    config = load_bench(profile, overrides=dict(tables or {}))
     names = tuple(names) or tuple(config.devices())
     command = [sys.executable, "-m", "hil.cli", "emulate", "--bench", profile, "--only", ",".join(names)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:

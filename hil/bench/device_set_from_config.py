@@ -17,12 +17,23 @@ from hil.core.interfaces import Actuators, Device, Sensor
 from hil.core.registry import base_of, kinds
 from hil.loop.device_set import DeviceSet
 from hil.support.lost_time import LostTime
+from hil.support.port_users import is_pseudo_terminal
 
 
 def model_of(config: BenchConfig, kind: str) -> DeviceModel:
     """The device model of a configured device."""
     table = config.devices()[kind]
     return kinds()[kind].model(getattr(table, "model"))  # noqa: B009 - every model's table has the key
+
+
+def served_here(config: BenchConfig) -> dict[str, str]:
+    """Ports of real devices that a program of this computer serves, as `hil emulate` does, by device."""
+    ports = {name: str(getattr(table, "port", "")) for name, table in config.devices().items()}
+    return {
+        name: port
+        for name, port in ports.items()
+        if name not in config.emulated() and is_pseudo_terminal(port)
+    }
 
 
 def make_device_set(

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from hil.bench.device_set_from_config import model_of
+from hil.bench.device_set_from_config import model_of, served_here
 from hil.bench.doctor.steering_offsets import expected_offsets_rad
 from hil.bench.third_party.added_checks import added_checks
 from hil.config.adhesion import AdhesionConfig
@@ -138,6 +138,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         rests_on=hold_keys(config),
         added=added_checks(config),
         emulated=frozenset(config.emulated()),
+        served=frozenset(served_here(config)),
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from hil.bench.bench import Bench
 from hil.bench.by_hand import Hand
 from hil.bench.camera_odometry import with_wheel_sigma
-from hil.bench.device_set_from_config import make_device_set, model_of
+from hil.bench.device_set_from_config import make_device_set, model_of, served_here
 from hil.bench.emulated_devices import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.emulator_process import EmulatorProcess
 from hil.bench.injection import Injection, at_links
@@ -33,6 +33,7 @@ from hil.fakes.world import VirtualClock
 from hil.faults.fault import Fault
 from hil.faults.files import read_faults
 from hil.support.lost_time import LostTime
+from hil.support.port_users import programs_behind
 
 LOG = logging.getLogger(__name__)
 
@@ -98,7 +99,7 @@ def _put_together(
     """Assemble a bench from a model, with real, served or in-process emulated devices and their clock."""
     config = model.config
     if not config.emulated():
-        return _real(model, plan, {}, sinks, LostTime(), hand)
+        return _real(model, plan, {}, sinks, None, hand)
     if realtime or len(config.emulated()) < len(config.devices()):
         return _at_the_wire(model, plan, sinks, hand)
     world = build_world(config, seed=model.seed, faults=plan)
@@ -139,7 +140,7 @@ def _at_the_wire(
     except DeviceError:
         check_faults(served, chips)  # an error in a key of the bench file is reported instead
         raise
-    bench = _real(model, plan, _reach(config, emulator.endpoints), sinks, LostTime(emulator.pid), hand)
+    bench = _real(model, plan, _reach(config, emulator.endpoints), sinks, emulator.pid, hand)
     bench.on_open(emulator.begin)
     bench.on_close(emulator.close)
     return bench
@@ -150,11 +151,13 @@ def _real(
     plan: tuple[Fault, ...],
     connections: Mapping[str, Connection],
     sinks: tuple[Sink, ...],
-    lost: LostTime,
+    emulator: int | None,
     hand: Hand | None,
 ) -> Bench:
     """A bench in real time, with the faults of its real devices in front of their drivers."""
     clock, config = MonotonicClock(), model.config
+    behind = {one.pid for port in served_here(config).values() for one in programs_behind(port)}
+    lost = LostTime(sorted(behind if emulator is None else behind | {emulator}))
     injection = Injection(config, clock, at_links(config, plan), model.seed, hand)
     devices = make_device_set(config, clock, connections, lost=lost, in_front=injection.in_front_of)
     return Bench(model, clock, devices, sinks=sinks, faults=plan, injection=injection)

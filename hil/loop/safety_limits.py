@@ -66,6 +66,7 @@ class Checks:
         rests_on: keys of the bench file that scale what holds the robot, and that nothing confirms.
         added: checks of the device kinds, by kind.
         emulated: emulated devices; in real time the process that serves them may be late itself.
+        served: other devices that a program of this computer serves; it may be late itself.
     """
 
     motion: MotionCheck | None = None
@@ -87,3 +88,4 @@ class Checks:
     rests_on: tuple[str, ...] = ()
     added: Mapping[str, Sequence[Check]] = field(default_factory=dict)
     emulated: frozenset[str] = frozenset()
+    served: frozenset[str] = frozenset()

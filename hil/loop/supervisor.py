@@ -57,7 +57,7 @@ class Supervisor:
         self._holders = own.holders if limits.on_wall else {}
         self._widest_rad = limits.steering_limit_rad + 1e-9
         self.left_out = Exclusion(own.estimated, on_wall=limits.on_wall)
-        self._pace, self.observers = LoopPause(own.emulated), ObserverCheck()
+        self._pace, self.observers = LoopPause(own.emulated, own.served), ObserverCheck()
         samples = SensorStatus(stale_s, own.gap_s, own.brought, self._pace.lost_ns)
         self._servos = servos = ServoCheck(stale_s.pop("servos", None), self._pace, limits.servo_ids)
         self._agreement = (

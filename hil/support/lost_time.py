@@ -5,7 +5,7 @@ Where the system does not count it, it is zero. What the host of a virtual machi
 
 import os
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 LOOP, EMULATOR = "loop", "emulator"
 _NOTHING: Mapping[str, int] = {}
@@ -45,15 +45,15 @@ class _Thread:
 
 
 class LostTime:
-    """What a control loop lost, and the process that emulates its devices.
+    """What a control loop lost, and the processes that emulate its devices.
 
     Args:
-        emulator: process id of the emulator, whose main thread serves the devices; None without one.
+        emulators: process ids of emulators, whose main threads serve the devices.
     """
 
-    def __init__(self, emulator: int | None = None) -> None:
-        self._emulator = emulator
-        self._threads: dict[str, _Thread] = {}
+    def __init__(self, emulators: Collection[int] = ()) -> None:
+        self._emulators = emulators
+        self._threads: list[tuple[str, _Thread]] = []
         self._reader = -1
         self._taken: dict[str, int] = {}
 
@@ -73,17 +73,17 @@ class LostTime:
 
     def close(self) -> None:
         """Stop counting; the next call of `take` begins anew. Idempotent."""
-        for thread in self._threads.values():
+        for _, thread in self._threads:
             thread.close()
-        self._threads, self._reader, self._taken = {}, -1, {}
+        self._threads, self._reader, self._taken = [], -1, {}
 
     def _count(self) -> None:
         if self._reader != (own := threading.get_ident()):
             self.close()
             self._reader = own
-            self._threads = {LOOP: _Thread("/proc/thread-self/schedstat")}
-            if (pid := self._emulator) is not None:
-                self._threads[EMULATOR] = _Thread(f"/proc/{pid}/task/{pid}/schedstat")
-        for name, thread in self._threads.items():
+            self._threads = [(LOOP, _Thread("/proc/thread-self/schedstat"))]
+            for pid in self._emulators:
+                self._threads.append((EMULATOR, _Thread(f"/proc/{pid}/task/{pid}/schedstat")))
+        for name, thread in self._threads:
             if since_ns := thread.since_ns():
                 self._taken[name] = self._taken.get(name, 0) + since_ns

@@ -42,6 +42,29 @@ def programs_with(port: str, proc: Path = PROC) -> list[Program]:
     return [program for program in found if not _is_other_end(proc / str(program.pid), path[len(_PTS) :])]
 
 
+def is_pseudo_terminal(port: str) -> bool:
+    """Whether a program of this computer is at the other end of a port.
+
+    Args:
+        port: device path, or a link to one.
+    """
+    return os.path.realpath(port).startswith(_PTS)
+
+
+def programs_behind(port: str, proc: Path = PROC) -> list[Program]:
+    """Other programs at the other end of a pseudo-terminal; those of other users are seen by root only.
+
+    Args:
+        port: device path, or a link to one; no program is at the other end of what is no pseudo-terminal.
+        proc: folder in which the kernel lists programs.
+    """
+    if not is_pseudo_terminal(port):
+        return []
+    number = os.path.realpath(port)[len(_PTS) :]
+    others = (program for program in running(proc) if program.pid != os.getpid())
+    return sorted(program for program in others if _is_other_end(proc / str(program.pid), number))
+
+
 def own_descriptors_of(path: str, proc: Path = PROC) -> int:
     """Number of descriptors of this process that lead to a file; its other threads may open and close files.
 

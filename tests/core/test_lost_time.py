@@ -57,7 +57,7 @@ def work(seconds):
 
 @pytest.mark.skipif(not COUNTED.exists(), reason="this kernel does not count it")
 def test_the_kernel_says_what_a_rival_has_taken_and_what_was_taken_from_it(rival):
-    lost = LostTime(emulator=rival)
+    lost = LostTime([rival])
     assert lost.take() == {}
     began_s = time.monotonic()
     work(0.2)
@@ -73,7 +73,7 @@ def test_the_kernel_says_what_a_rival_has_taken_and_what_was_taken_from_it(rival
 
 def test_a_process_that_has_ended_loses_nothing():
     process = subprocess.Popen([sys.executable, "-c", ""])
-    lost = LostTime(emulator=process.pid)
+    lost = LostTime([process.pid])
     lost.take()
     process.wait()
     lost.take()
@@ -109,6 +109,7 @@ def stopped(watch, cycles):
         (SERVED, {EMULATOR: 20 * MS}, None),
         (Checks(), {EMULATOR: 5 * MS}, 11),
         (Checks(), {LOOP: 5 * MS}, 21),
+        (Checks(served=frozenset(("servos",))), {EMULATOR: 5 * MS}, 21),
     ],
 )
 def test_servos_are_silent_for_the_time_that_was_not_lost(checks, lost_ns, stops_in):

@@ -11,6 +11,7 @@ from hil.config.loading import load_bench
 from hil.core.errors import FaultNotSupportedError, UsageError
 from hil.fault_matrix.on_devices import faults_at_links
 from hil.faults import permission
+from tests.patience import PATIENT
 from tests.served_as_real import served_as_real
 
 REAL = {"imu.backend": "real", "imu.port": "/dev/no-such-port"}
@@ -41,7 +42,7 @@ def test_no_cell_where_a_consent_or_a_tether_is_missing(profile, overrides, erro
 @pytest.mark.real_time
 @pytest.mark.opens_stand_ins
 def test_served_devices_that_count_as_real_are_judged_cell_by_cell(tmp_path, capfd):
-    with served_as_real(tmp_path) as bench:
+    with served_as_real(tmp_path, tables=PATIENT) as bench:
         asked = ["--bench", str(bench), "--inject-real", "--out", str(tmp_path / "out"), "--json"]
         only = ["imu:silent@second", "servos:silent@motion", "mocap:drop@second"]
         code = main(["faults", *asked, *(part for one in only for part in ("--only", one))])

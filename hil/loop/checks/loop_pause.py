@@ -37,10 +37,11 @@ class LoopPause(Check):
 
     Args:
         emulated: emulated devices. In real time another process serves them, which may be late itself.
+        served: devices of which this bench only knows that a program of this computer serves them.
     """
 
-    def __init__(self, emulated: Collection[str] = ()) -> None:
-        self._emulated = frozenset(emulated)
+    def __init__(self, emulated: Collection[str] = (), served: Collection[str] = ()) -> None:
+        self._emulated, self._served_here = frozenset(emulated), frozenset((*emulated, *served))
         self.reset()
 
     def reset(self) -> None:
@@ -53,7 +54,7 @@ class LoopPause(Check):
 
     def lost_ns(self, name: str) -> int:
         """Time since the previous cycle that this computer took from the exchange with a device, ns."""
-        return self._lost_served_ns if name in self._emulated else self._lost_ns
+        return self._lost_served_ns if name in self._served_here else self._lost_ns
 
     def ended_at(self, t_ns: int) -> int:
         """Length (ns) of the pause that ended with the cycle at `t_ns`; 0 without one."""
