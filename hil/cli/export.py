@@ -1,7 +1,9 @@
 """`hil export`: a recording as CSV or Parquet."""
 
 import json
+import os
 import shlex
+import sys
 from pathlib import Path
 
 import click
@@ -24,7 +26,7 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
 
     Example: hil export recording.mcap --format csv
     """
-    from hil.datasets.export import check_target, write_table
+    from hil.datasets.export import check_target, wheel_table, write_table
     from hil.recording.mcap_reader import read_cycles
     from hil.support.atomic_files import check_ending
 
@@ -41,7 +43,7 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
     check_ending(target, f".{chosen}")
     problems: list[str] = []
     if topics is None:
-        records = list(read_cycles(recording, problems))
+        table = wheel_table(read_cycles(recording, problems))
     else:
         from hil.datasets.as_cycles import to_cycles
         from hil.datasets.mapped_recordings import read_mapped
@@ -60,12 +62,12 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
                 expected="stamps that go on",
                 remedy="cut the recording there",
             )
-        records = list(to_cycles(found, on_wall=False))
-    if not any(record.measurements.wheels for record in records):
+        table = wheel_table(to_cycles(found, on_wall=False))
+    if not len(table.values):
         why = f" that can be read ({'; '.join(problems)})" if problems else ""
         raise DataError(str(recording), "holds no wheel sample" + why, expected="at least one row")
     check_target(target, chosen)
-    rows, columns = write_table(records, target, chosen)
+    write_table(table, target, chosen)
     for problem in problems:
         click.echo(f"hil: {recording}: {problem}", err=True)
     if as_json:
@@ -73,12 +75,21 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
             "recording": str(recording),
             "out": str(target),
             "format": chosen,
-            "cycles": len(records),
-            "rows": rows,
-            "columns": list(columns),
+            "cycles": table.cycles,
+            "rows": len(table.values),
+            "columns": list(table.columns),
             "problems": problems,
         }
         click.echo(json.dumps(result))
     else:
-        click.echo(f"{target}: {rows} rows of {len(records)} cycles")
+        said = f"{target}: {len(table.values)} rows of {table.cycles} cycles"
+        click.echo(said, err=_is_stdout(target))  # a line among the rows would be no row
     return EXIT_USAGE if problems else EXIT_PASS
+
+
+def _is_stdout(path: Path) -> bool:
+    """Whether a path is the standard output of this process, as /dev/stdout."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(sys.stdout.fileno()))
+    except OSError:
+        return False

@@ -10,8 +10,9 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import fields
+from array import array
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,7 +21,7 @@ import numpy as np
 from hil.core.clock import NS_PER_S
 from hil.core.errors import UsageError
 from hil.core.geometry import Array
-from hil.core.signals import CycleRecord, WheelMeasurement
+from hil.core.signals import CycleRecord
 from hil.datasets.cleaning import Log
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, TRUTH_GAP_S, WHEEL_COLUMNS
@@ -30,30 +31,6 @@ from hil.datasets.wheel_log import Recording, build_recording
 from hil.recording.mcap_reader import read_cycles
 from hil.support.atomic_files import refused, replacing
 from hil.support.extras import how_to_install
-
-
-def added_columns(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
-    """Names and values (cycles, names) of columns for the signal kinds that other packages add.
-
-    A column is called `KIND_FIELD`. An array has one column per element (`bms_cell_v_0`, `bms_map_1_0`).
-    `KIND_t` is the time of measurement, s since the first cycle. Texts and statuses have no columns. Values
-    are NaN before a kind's first sample, and in a sample that is not good.
-    """
-    origin_ns = records[0].inputs.t_ns if records else 0
-    rows: list[dict[str, float]] = []
-    newest: dict[str, float] = {}
-    names: dict[str, None] = {}
-    for record in records:
-        for kind, samples in record.inputs.added.items():
-            if samples:
-                found = dict(_numbers(kind, samples[-1]))
-                found[f"{kind}_t"] = (samples[-1].stamp.t_ns - origin_ns) / NS_PER_S
-                newest = {**newest, **found}
-                names.update(dict.fromkeys(found))
-        rows.append(newest)
-    ordered = tuple(names)
-    values = [[row.get(name, math.nan) for name in ordered] for row in rows]
-    return ordered, np.array(values, dtype=np.float64).reshape(len(rows), len(ordered))
 
 
 def _numbers(kind: str, sample: Any) -> Iterator[tuple[str, float]]:
@@ -87,33 +64,76 @@ COLUMNS = (
 )
 
 
-def _truth(records: Sequence[CycleRecord]) -> tuple[Array, Array]:
-    """Stamps (m,), s since the first cycle, and poses (m, 3) of motion capture, in order of time."""
-    origin_ns = records[0].inputs.t_ns if records else 0
-    found = [m for r in records for m in r.measurements.mocap if m.valid and np.all(np.isfinite(m.pose))]
-    t_s = np.array([(m.stamp.t_ns - origin_ns) / NS_PER_S for m in found])
-    poses = np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)
-    order = np.argsort(t_s, kind="stable")
-    return t_s[order], poses[order]
+@dataclass(frozen=True)
+class WheelTable:
+    """Table of a recording.
+
+    Attributes:
+        columns: names of the columns: `COLUMNS`, then those of the signal kinds that other packages add:
+            `KIND_FIELD`, with one column per element of an array (`bms_cell_v_0`, `bms_map_1_0`), none for
+            texts and statuses, and `KIND_t`, the time of measurement in s since the first cycle. Values are
+            NaN before a kind's first sample, and in a sample that is not good.
+        values: one row per wheel sample, shape (n, columns).
+        cycles: number of cycles of the recording.
+    """
+
+    columns: tuple[str, ...]
+    values: Array
+    cycles: int
 
 
-def tabulate(records: Sequence[CycleRecord]) -> Array:
-    """Table of a recording: one row per wheel sample, columns `COLUMNS`; shape (n, len(COLUMNS))."""
-    if not records:
-        return np.empty((0, len(COLUMNS)))
-    origin_ns = records[0].inputs.t_ns
-    rows, stamps = [], []
-    for record in records:
+def wheel_table(records: Iterable[CycleRecord]) -> WheelTable:
+    """Table of a recording in one pass: of the cycles only the numbers of the table stay in memory."""
+    origin_ns, cycles = 0, 0
+    rows, cycle_of_row, truth = array("d"), array("q"), _Truth()
+    newest: dict[str, float] = {}
+    added: list[dict[str, float]] = []
+    for cycles, record in enumerate(records, start=1):
+        origin_ns = record.inputs.t_ns if cycles == 1 else origin_ns
+        truth.take(record, origin_ns)
+        newest = _with_newest(newest, record, origin_ns)
+        added.append(newest)
         tail = _cycle_columns(record)
         for wheels in record.measurements.wheels:
-            stamps.append((wheels.stamp.t_ns - origin_ns) / NS_PER_S)
-            rows.append([*wheels.wheel_angle_rad, *wheels.steering_rad, *wheels.wheel_rate_rad_s, *tail])
-    t_s = np.array(stamps)
-    body = np.array(rows, dtype=np.float64).reshape(len(t_s), -1)
-    truth = truth_at(t_s, *_truth(records), longest_s=TRUTH_GAP_S)
-    return (
-        np.column_stack([t_s, body[:, :8], truth, body[:, 8:]]) if len(t_s) else np.empty((0, len(COLUMNS)))
-    )
+            rows.append((wheels.stamp.t_ns - origin_ns) / NS_PER_S)
+            rows.extend((*wheels.wheel_angle_rad, *wheels.steering_rad, *wheels.wheel_rate_rad_s, *tail))
+            cycle_of_row.append(cycles - 1)
+    body = np.array(rows, dtype=np.float64).reshape(-1, len(COLUMNS) - len(TRUTH_COLUMNS))
+    poses = truth_at(body[:, 0], *truth.samples(), longest_s=TRUTH_GAP_S)
+    names = tuple(dict.fromkeys(name for row in added for name in row))
+    of_kinds = [[added[k].get(name, math.nan) for name in names] for k in cycle_of_row]
+    kinds = np.array(of_kinds, dtype=np.float64).reshape(len(body), len(names))
+    values = np.column_stack([body[:, :9], poses, body[:, 9:], kinds])
+    return WheelTable((*COLUMNS, *names), values, cycles)
+
+
+class _Truth:
+    """Samples of motion capture, gathered cycle by cycle."""
+
+    def __init__(self) -> None:
+        self._samples = array("d")
+
+    def take(self, record: CycleRecord, origin_ns: int) -> None:
+        """Take the good samples of a cycle; `origin_ns` is the time of the first cycle."""
+        for sample in record.measurements.mocap:
+            if sample.valid and np.all(np.isfinite(sample.pose)):
+                self._samples.extend(((sample.stamp.t_ns - origin_ns) / NS_PER_S, *sample.pose))
+
+    def samples(self) -> tuple[Array, Array]:
+        """Stamps (m,), s since the first cycle, and poses (m, 3), in order of time."""
+        found = np.array(self._samples, dtype=np.float64).reshape(-1, 4)
+        found = found[np.argsort(found[:, 0], kind="stable")]
+        return found[:, 0], found[:, 1:]
+
+
+def _with_newest(before: dict[str, float], record: CycleRecord, origin_ns: int) -> dict[str, float]:
+    """Numbers of the newest sample of every kind that other packages add, by column."""
+    found = before
+    for kind, samples in record.inputs.added.items():
+        if samples:
+            found = {**found, **dict(_numbers(kind, samples[-1]))}
+            found[f"{kind}_t"] = (samples[-1].stamp.t_ns - origin_ns) / NS_PER_S
+    return found
 
 
 def _cycle_columns(record: CycleRecord) -> list[float]:
@@ -131,24 +151,11 @@ def _cycle_columns(record: CycleRecord) -> list[float]:
     ]
 
 
-def with_added(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
-    """Columns and rows (n, m) of `tabulate`, followed by the columns of `added_columns`."""
-    names, values = added_columns(records)
-    table = tabulate(records)
-    if not names:
-        return COLUMNS, table
-    cycle = np.repeat(np.arange(len(records)), [len(r.measurements.wheels) for r in records])
-    return (*COLUMNS, *names), np.column_stack([table, values[cycle]])
-
-
-def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[int, tuple[str, ...]]:
-    """Write the table; floats are exact in both formats. On failure an earlier file is kept.
-
-    Returns:
-        Number of rows, and the columns.
+def write_table(table: WheelTable, path: Path, kind: str) -> None:
+    """Write a table; floats are exact in both formats. On failure an earlier file is kept.
 
     Args:
-        records: cycles in order.
+        table: the table.
         path: file to write.
         kind: `csv` or `parquet`.
 
@@ -156,16 +163,14 @@ def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[
         DataError: the file cannot be written.
         UsageError: unknown kind, or Parquet without its extra.
     """
-    columns, table = with_added(records)
     writers = {"csv": _write_csv, "parquet": _write_parquet}
     if kind not in writers:
         raise UsageError(f"format {kind!r}", expected="csv or parquet")
     try:
         with replacing(path) as file:
-            writers[kind](columns, table, file)
+            writers[kind](table.columns, table.values, file)
     except OSError as error:
         raise refused(path, error) from None
-    return len(table), columns
 
 
 def check_target(path: Path, kind: str) -> None:
@@ -203,7 +208,7 @@ def _write_csv(names: tuple[str, ...], table: Array, file: BinaryIO) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text)
     writer.writerow(names)
-    writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in table.tolist())
+    writer.writerows(["" if math.isnan(v) else repr(v) for v in row.tolist()] for row in table)
     text.detach()
 
 
@@ -231,15 +236,6 @@ def _parquet() -> Any:
     return pyarrow.parquet
 
 
-def _wheel_log(samples: Iterable[WheelMeasurement], origin_ns: int) -> Log:
-    usable = [w for w in samples if all(w.valid)]
-    values = [[*w.wheel_angle_rad, *w.steering_rad, *w.wheel_rate_rad_s] for w in usable]
-    return Log(
-        np.array([(w.stamp.t_ns - origin_ns) / NS_PER_S for w in usable]),
-        np.array(values, dtype=np.float64).reshape(-1, 12),
-    )
-
-
 def to_recording(
     path: str | Path, problems: list[str] | None = None, nominal: Nominal | None = None
 ) -> Recording:
@@ -253,14 +249,20 @@ def to_recording(
     Raises:
         DataError: unreadable, or without wheels or ground truth.
     """
-    file = Path(path)
-    records = list(read_cycles(file, problems))
-    origin_ns = records[0].inputs.t_ns if records else 0
-    truth_t_s, poses = _truth(records)
+    file, truth, rows = Path(path), _Truth(), array("d")
+    origin_ns: int | None = None
+    for record in read_cycles(file, problems):
+        origin_ns = record.inputs.t_ns if origin_ns is None else origin_ns
+        truth.take(record, origin_ns)
+        for w in record.measurements.wheels:
+            if all(w.valid):
+                rows.append((w.stamp.t_ns - origin_ns) / NS_PER_S)
+                rows.extend((*w.wheel_angle_rad, *w.steering_rad, *w.wheel_rate_rad_s))
+    wheels = np.array(rows, dtype=np.float64).reshape(-1, 13)
     return build_recording(
         file.stem,
-        _wheel_log((w for r in records for w in r.measurements.wheels), origin_ns),
-        Log(truth_t_s, poses),
+        Log(wheels[:, 0], wheels[:, 1:]),
+        Log(*truth.samples()),
         motion=motion_of(file.stem),
         sources=(str(file),),
         sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),),

@@ -18,7 +18,7 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError, DeviceError, FaultNotSupportedError, SafetyStop
 from hil.core.signals import Status
-from hil.datasets.export import added_columns
+from hil.datasets.export import wheel_table
 from hil.fakes.world import VirtualClock
 from hil.loop.cycle_data import LastingCheck
 from hil.monitor.plot_series import SeriesCollector, conditions
@@ -174,7 +174,7 @@ def test_two_imus_are_recorded_replayed_and_struck_each_by_itself(file, tmp_path
     capsys.readouterr()
     assert main(["replay", "o/recording.mcap", "--verify", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "identical"
-    assert {"imu_arm_gyro_rad_s_2", "imu_arm_t"} <= {*added_columns(records)[0]}
+    assert {"imu_arm_gyro_rad_s_2", "imu_arm_t"} <= {*wheel_table(records).columns}
 
 
 def test_an_axis_of_further_encoders_is_struck_by_itself(file):

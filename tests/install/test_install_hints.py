@@ -12,7 +12,7 @@ from packaging.requirements import Requirement
 from hil.bench.emulator_process import last_words
 from hil.campaign import Case, Row, write_rows
 from hil.core.errors import HilError, UsageError
-from hil.datasets.export import write_table
+from hil.datasets.export import wheel_table, write_table
 from hil.datasets.number_table import numbers_at_once
 from hil.drivers.tracker.t265.librealsense_interface import realsense
 from hil.links.mavlink.messages import dialect
@@ -71,7 +71,7 @@ def nothing_importable(monkeypatch):
 
 
 def missing_parquet(tmp_path):
-    write_table([], tmp_path / "t.parquet", "parquet")
+    write_table(wheel_table([]), tmp_path / "t.parquet", "parquet")
 
 
 def missing_t265(tmp_path):

@@ -20,7 +20,7 @@ from mcap_cases import driving_record
 from recorded import HEADER, messages
 from test_rewritten_files import told
 
-from hil.datasets.export import write_table
+from hil.datasets.export import wheel_table, write_table
 from hil.datasets.plain_csv import read_plain
 from hil.datasets.rosbag import read_bag
 from hil.datasets.trajectory_files import write_trajectories
@@ -231,8 +231,8 @@ def test_pandas_and_polars_read_our_tables_and_write_them_again(other, ours, tmp
         replace(each, measurements=replace(each.measurements, mocap=())) if 40 <= each.cycle < 90 else each
         for each in read_cycles(ours)
     ]
-    write_table(records, tmp_path / "run.csv", "csv")
-    write_table(records, tmp_path / "run.parquet", "parquet")
+    write_table(wheel_table(records), tmp_path / "run.csv", "csv")
+    write_table(wheel_table(records), tmp_path / "run.parquet", "parquet")
     perfect.write_csv(tmp_path / "drive_1.csv", perfect.drive())
     (tmp_path / "tables.py").write_text(TABLES)
     found = json.loads(other("python", tmp_path / "tables.py", tmp_path).splitlines()[-1])
