@@ -7,6 +7,7 @@ import secrets
 import signal
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from hil.console.web_server import Server
 
 _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
+_AGAIN = "it is just starting: give the same command again in ten seconds for the address"
 
 
 @click.command()
@@ -90,12 +92,13 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
     from hil.console.stop_server import PAGE, runs
     from hil.console.web_server import Server
     from hil.support.atomic_files import check_folder
+    from hil.support.folder_lock import locked
     from hil.support.interrupt_signals import StopRequest
 
     load_bench(bench or "emulated")
     check_folder(folder)
     stop = StopRequest()
-    with stop.noted():
+    with stop.noted(), ExitStack() as stack:
         folder.mkdir(parents=True, exist_ok=True)
         folder.chmod(0o700)  # the token lies in it
         if runs(read(folder / PAGE)):
@@ -103,6 +106,7 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
                 f"a console for {where} is running already",
                 remedy=f"{_way_in(folder)}, or name another folder with --in",
             )
+        stack.enter_context(locked(folder, "a console", _AGAIN))
         stopper = _stopper(folder, port)
         process = PageProcess(folder, where, lambda: _actions(where), _benches, bench)
         server = Server(0, stopper["token"], stopper["cookie"], process.routes(), policy(stopper["port"]))
@@ -136,7 +140,7 @@ def _way_in(folder: Path) -> str:
 
     stopper = read(folder / STOP)
     if not runs(stopper):
-        return "its STOP button is just starting: give the same command again in ten seconds for the address"
+        return f"its STOP button: {_AGAIN}"
     if is_private(folder / STOP):
         return f"open {_address(stopper)} in a browser"
     return (

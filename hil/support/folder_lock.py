@@ -8,14 +8,17 @@ from pathlib import Path
 
 from hil.core.errors import UsageError
 
+_REMEDY = "wait for its end, or choose another --out"
+
 
 @contextmanager
-def locked(folder: Path, what: str) -> Iterator[None]:
+def locked(folder: Path, what: str, remedy: str = _REMEDY) -> Iterator[None]:
     """Lock a folder within the block, if it exists and its file system has locks.
 
     Args:
         folder: the folder.
         what: noun for what works there, for the error, as `a run`.
+        remedy: remedy of the error.
 
     Raises:
         UsageError: another program has locked it.
@@ -27,7 +30,5 @@ def locked(folder: Path, what: str) -> Iterator[None]:
             try:
                 fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise UsageError(
-                    f"{folder}: {what} is at work there", remedy="wait for its end, or choose another --out"
-                ) from None
+                raise UsageError(f"{folder}: {what} is at work there", remedy=remedy) from None
         yield

@@ -20,6 +20,7 @@ from hil.core.errors import DataError
 from hil.procedure.parameters import make_parameters
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.shipped import shipped_names
+from hil.support.folder_lock import locked
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +136,15 @@ def started(place):
     )
     json.loads(console.stdout.readline())
     return console
+
+
+def test_of_two_consoles_that_start_at_once_one_is_refused(place, capsys):
+    folder = place / "out" / "console"
+    folder.mkdir(parents=True)
+    with locked(folder, "a console"):
+        assert main(["console", "--in", str(place / "out")]) == 2
+    assert "a console is at work there" in capsys.readouterr().err
+    assert not (folder / STOP).exists()
 
 
 def test_stop_ends_the_button_of_a_console_that_was_killed_and_of_no_other(place, capsys):
