@@ -94,6 +94,7 @@ class CanLink:
         self._lock = threading.Lock()
         self._read: deque[Arrived] = deque(maxlen=_MOST_FRAMES)
         self._meaning: Meaning | None = None
+        self._broken: Exception | None = None
         self._said: deque[Any] = deque(maxlen=_MOST_FRAMES)
         self._arrivals = ArrivalClock()
         self._asked_ns = self._emptied_ns = 0
@@ -114,7 +115,7 @@ class CanLink:
         self._failing_ns, self._asked_ns = None, self._clock.now_ns()
         self._read.clear()
         self._said.clear()
-        self._meaning = None
+        self._meaning = self._broken = None
         self._faults = present()
         self._bus = self._opened()
         if self._clock.wall_offset() is not None:
@@ -170,7 +171,13 @@ class CanLink:
         self._meaning = meaning
 
     def read_samples(self) -> list[Any]:
-        """Samples of the frames since the last call, oldest first, once `set_decoder` was called."""
+        """Samples of the frames since the last call, oldest first, once `set_decoder` was called.
+
+        What the decoder has raised in the reading thread is raised here.
+        """
+        broken, self._broken = self._broken, None
+        if broken is not None:
+            raise broken
         if self._reader is None and self._bus is not None and self._meaning is not None:
             return self._meant(self._drain(self._bus, 0.0), self._meaning)
         return self._waiting(self._said, 0)
@@ -211,7 +218,10 @@ class CanLink:
             if (meaning := self._meaning) is None:
                 self._read.extend(arrived)
             else:
-                self._said.extend(self._meant(arrived, meaning))
+                try:
+                    self._said.extend(self._meant(arrived, meaning))
+                except Exception as error:  # the thread goes on: a silent device would hide the cause
+                    self._broken = error
             self._emptied_ns = self._clock.now_ns()
             if self._failing_ns is not None and self._clock.now_ns() - self._failing_ns > _GONE_NS:
                 with self._lock:

@@ -60,6 +60,28 @@ def test_in_real_time_a_thread_makes_the_samples_that_the_loop_takes():
     assert threading.get_ident() not in made_by
 
 
+@pytest.mark.real_time
+def test_a_decoder_that_fails_is_told_and_ends_no_reading():
+    def meaning(t_ns, message, now_ns):
+        return bytes(message.data)[0]
+
+    options = {"port": free_udp_port(), "hop_limit": 0}
+    link = CanLink(
+        "adhesion", CanConfig(interface="udp_multicast", channel=GROUP, options=options), MonotonicClock()
+    )
+    link.open()
+    try:
+        with can.Bus(interface="udp_multicast", channel=GROUP, **options) as bus:
+            link.set_decoder(meaning)
+            send(bus, (7, b""))
+            with pytest.raises(IndexError):
+                heard(link, 1)
+            send(bus, (7, b"a"))
+            assert heard(link, 1) == [ord("a")]
+    finally:
+        link.close()
+
+
 class Jumping(MonotonicClock):
     """A clock that can be put forward, as for a program that was stopped for a while."""
 
