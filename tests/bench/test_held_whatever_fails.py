@@ -45,6 +45,14 @@ def test_a_fan_that_cannot_be_raised_keeps_no_robot_from_being_checked(caplog):
     assert "adhesion could not be commanded: RuntimeError: disk full" in caplog.text
 
 
+def test_a_fan_whose_driver_fails_keeps_no_robot_from_being_checked():
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.devices.actuators().enable()
+        bench.devices.get("adhesion").read = Fails("read").read
+    assert "not checked" not in bench.held.why
+    assert "nothing by the fan's speed" in bench.held.why or "is silent" in bench.held.why
+
+
 class Scheduled:
     """A clock that calls a task by hand."""
 

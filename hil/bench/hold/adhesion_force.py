@@ -11,6 +11,7 @@ may not have understood the command: they count once the robot has been at rest 
 to let it slide (`hil.bench.hold.propeller_handover`). Load cells do not measure their push.
 """
 
+import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -31,6 +32,7 @@ from hil.loop.device_set import DeviceSet
 from hil.robot.believed_force import CELLS, UNCONFIRMED, Believed
 from hil.robot.motor_cross_checks import POWER, SPEED, VOLTAGE
 
+LOG = logging.getLogger(__name__)
 RUN_DOWN_S = 1.0
 """Time after which a fan without current has lost more force than any reserve."""
 _AHEAD_S = 6.0
@@ -65,6 +67,19 @@ class MeasuredForces:
             elif self._limits.has_fan and self.fan.take(sample):
                 for name, force_n in self.fan.forces_n.items():
                     yield name, sample.stamp.t_ns, force_n
+
+
+def read_whatever_happens(devices: DeviceSet, name: str) -> Sequence[Any]:
+    """Samples of a device since the last read; none without the device, or if its driver raises."""
+    device = devices.get(name)
+    try:
+        samples: Sequence[Any] = () if device is None else device.read()
+    except HilError:
+        return ()
+    except Exception:  # the check goes on with the others
+        LOG.warning("%s: its driver failed while the hold was checked", name, exc_info=True)
+        return ()
+    return samples
 
 
 def in_words(forces: Mapping[str, float], believed: Believed) -> str:
@@ -310,11 +325,7 @@ class AdhesionForceCheck:
         return {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
 
     def _samples(self, name: str) -> Sequence[Any]:
-        device = self._devices.get(name)
-        try:
-            return () if device is None else device.read()
-        except HilError:
-            return ()
+        return read_whatever_happens(self._devices, name)
 
 
 def _to_be_seen(left_s: float) -> str:

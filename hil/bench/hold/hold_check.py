@@ -5,7 +5,6 @@ rest, and no sensor that can measure the robot's motion shows any. Until then th
 holding (`look_after`).
 """
 
-import logging
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.hold.adhesion_force import press_watch
+from hil.bench.hold.adhesion_force import press_watch, read_whatever_happens
 from hil.bench.hold.camera_vote import CAMERA, CameraVote
 from hil.bench.hold.frame_jumps import FrameJumps
 from hil.bench.hold.held_state import Held, State, lacking_in_words, on_the_floor
@@ -24,7 +23,6 @@ from hil.bench.hold.tilt_check import TiltWatch
 from hil.bench.loop_settings import can_fall
 from hil.bench.pipelines import BenchModel
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
-from hil.core.errors import HilError
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink
 from hil.core.registry import base_of, further, kinds
@@ -48,7 +46,6 @@ _LATE_LOOKS = 25
 """After the time limit, a momentary doubt is tolerated for this number of samples."""
 _LOSSES = 3
 """Number of times that the time limit is extended for servos that fail during the check."""
-LOG = logging.getLogger(__name__)
 _LOOK_NS = nanoseconds(0.02)
 _SELDOM_NS = nanoseconds(0.05)
 """Sample period while only time has to pass: a window still holds five samples of the servos."""
@@ -404,7 +401,7 @@ class HoldMonitor(Sink):
         self._reads += 1
         self._unread.update(name for name, known in zip(SERVOS, read, strict=True) if not known)
         seen = [(JOINTS, hold.position_rad)] if read.all() else []
-        samples = {name: self._samples(name) for name in self._seeing if name != JOINTS}
+        samples = {n: read_whatever_happens(self._devices, n) for n in self._seeing if n != JOINTS}
         for name, some in samples.items():
             seen += [(name, value) for value in self._motion_values(name, some)]
         self._slides.saw(hold, samples)
@@ -414,17 +411,6 @@ class HoldMonitor(Sink):
                 self._travel.saw(name, now_ns, value)
         for trail in trails.values():
             trail.forget(now_ns - trail.window_ns)
-
-    def _samples(self, name: str) -> Sequence[Any]:
-        """Samples of a sensor since the last read; none if its driver raises any exception."""
-        try:
-            samples: Sequence[Any] = self._devices.get(name).read()
-        except HilError:
-            return ()
-        except Exception:  # raised by a driver of another package: the check continues with the others
-            LOG.warning("%s: its driver failed while the hold was checked", name, exc_info=True)
-            return ()
-        return samples
 
     def _motion_values(self, name: str, samples: Sequence[Any]) -> list[Array]:
         """Motion values of a sensor's samples."""
