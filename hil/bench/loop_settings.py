@@ -180,6 +180,7 @@ def weight_check(config: BenchConfig, geometry: WheelGeometry) -> WeightCheck | 
         thrust_wanted_n(config),
         model.motor.torque_constant_n_m_a,
         float(geometry.radius_m.mean()),
+        model.motor.inertia_kg_m2,
         config.alignment.drive_sign,
         ("robot.thrust_compensation",) if push is None else push.scale_keys,
     )

@@ -1,9 +1,9 @@
 """Compares the work of the drives with the weight that they lift, as the bench file has it.
 
 A robot that climbs by h does the work (m g - T) h against weight m g and push T of the propellers, beside
-the losses in its gears. The currents of the drives give the work, the wheels' angles give h. So a wrong mass,
-or propellers that push less than the bench file says, show within centimetres. Deterministic: depends only on
-the samples since `reset`.
+the losses in its gears and what speeds up its drives. The currents of the drives give the work, the wheels'
+angles give h. So a wrong mass, or propellers that push less than the bench file says, show within
+centimetres. Deterministic: depends only on the samples since `reset`.
 """
 
 import math
@@ -25,6 +25,9 @@ differ by 40 % are a sixth of the weight of the robot of the shipped profiles.""
 FITS_SHARE = 0.1
 """Difference up to which it is confirmed, as a share of the weight: what is between the two is open."""
 _ROLLS_RAD_S, _STEADY_NS = 0.3, 300_000_000
+_SPEEDING_SHARE = 0.1
+"""Work that has gone into speed beyond which another stretch is judged, as a share of that against the
+weight: the inertia of rotors and gears is assumed, the vendor gives none."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,7 @@ class Lifted:
         thrust_n: push of the propellers.
         torque_constant_n_m_a: torque of a drive by its current.
         radius_m: mean radius of the wheels.
+        inertia_kg_m2: moment of inertia of a drive's rotor and gear, at the wheel.
         drive_sign: sign of each drive, (4,).
         keys: keys of the bench file that scale the push of the propellers.
     """
@@ -46,6 +50,7 @@ class Lifted:
     thrust_n: float
     torque_constant_n_m_a: float
     radius_m: float
+    inertia_kg_m2: float
     drive_sign: tuple[int, ...] = (1, 1, 1, 1)
     keys: tuple[str, ...] = ()
 
@@ -53,6 +58,15 @@ class Lifted:
     def weight_n(self) -> float:
         """Weight along the surface."""
         return self.mass_kg * GRAVITY_M_S2 * self.along
+
+    def moving_j(self, rates_rad_s: list[float]) -> float:
+        """Kinetic energy of the body and its drives.
+
+        Args:
+            rates_rad_s: rates of the wheels, (4,).
+        """
+        one_kg_m2 = self.inertia_kg_m2 + 0.25 * self.mass_kg * self.radius_m**2
+        return 0.5 * one_kg_m2 * sum(rate * rate for rate in rates_rad_s)
 
 
 class WeightCheck(Check):
@@ -73,10 +87,14 @@ class WeightCheck(Check):
 
     def reset(self) -> None:
         """Clear the sums."""
-        self._work_j = self._height_m = self._way_m = 0.0
-        self._last: tuple[int, list[float]] | None = None
+        self._clear()
+        self._last: tuple[int, list[float], float] | None = None
         self._rolls_since_ns: int | None = None
         self._told, self._judged, self.off_share = "", False, math.nan
+
+    def _clear(self) -> None:
+        """Begin a stretch."""
+        self._work_j = self._speeding_j = self._height_m = self._way_m = 0.0
 
     def on_samples(self, cycle: Cycle) -> None:
         """Add the work of a cycle, and compare it with the weight."""
@@ -93,11 +111,12 @@ class WeightCheck(Check):
         """Add a step of four drives that roll steadily; a step that speeds up is other work, too."""
         t_ns, last = sample.stamp.t_ns, self._last
         angles: list[float] = wheels.wheel_angle_rad.tolist()
-        self._last = (t_ns, angles)
+        rates: list[float] = wheels.wheel_rate_rad_s.tolist()
+        moving_j = self.lifted.moving_j(rates)
+        self._last = (t_ns, angles, moving_j)
         if last is None or not all(wheels.valid) or not 0 < t_ns - last[0] < NS_PER_S // 10:
             self._rolls_since_ns = None
             return
-        rates: list[float] = wheels.wheel_rate_rad_s.tolist()
         if min(map(abs, rates)) < _ROLLS_RAD_S:
             self._rolls_since_ns = None
             return
@@ -106,6 +125,7 @@ class WeightCheck(Check):
         if t_ns - self._rolls_since_ns < _STEADY_NS:
             return
         lifted, currents = self.lifted, sample.current_a.tolist()
+        self._speeding_j += moving_j - last[2]
         for k, (angle, before, rate, steer) in enumerate(
             zip(angles, last[1], rates, wheels.steering_rad.tolist(), strict=True)
         ):
@@ -121,9 +141,12 @@ class WeightCheck(Check):
         """Compare once, when the robot has gone up or down for long enough."""
         if abs(self._height_m) < _LEAST_SHARE * self._way_m or not math.isfinite(self._work_j):
             return
-        self._judged = True
         lifted = self.lifted
-        found_n = self._work_j / self._height_m
+        if abs(self._speeding_j) > _SPEEDING_SHARE * lifted.weight_n * abs(self._height_m):
+            self._clear()
+            return
+        self._judged = True
+        found_n = (self._work_j - self._speeding_j) / self._height_m
         cycle.diagnostics["weight_less_push_n"] = found_n
         wanted_n = lifted.weight_n - lifted.thrust_n
         self.off_share = (found_n - wanted_n) / lifted.weight_n
