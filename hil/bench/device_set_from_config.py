@@ -5,6 +5,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
+from hil.bench.device_files import file_of_the_bench, named_files
 from hil.bench.device_proxy import DeviceWithin
 from hil.bench.further_device_errors import making, named
 from hil.bench.third_party.checked_driver import wrapped_driver
@@ -60,10 +61,11 @@ def make_device_set(
         at = table.model_copy(update=dict(found.values))
         model, kind = model_of(config, name), base_of(name)
         make = partial(model.make_driver, at, clock, **found.parts)
-        if kind == name:
-            return wrapped_driver(kinds()[name], model, make, failures, at.timeouts_s())
-        device = wrapped_driver(kinds()[name], model, making(make, name), failures, at.timeouts_s())
-        return DeviceWithin(device, partial(named, kind, name), name)
+        made: Callable[[], Device] = make if kind == name else making(make, name)
+        device = wrapped_driver(kinds()[name], model, made, failures, at.timeouts_s())
+        if files := named_files(table):
+            device = DeviceWithin(device, partial(file_of_the_bench, config.name, name, files), name)
+        return device if kind == name else DeviceWithin(device, partial(named, kind, name), name)
 
     made = {name: in_front(name, driver(name, table)) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+import hil
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.config.load_cells import CanCellsConfig
 from hil.core.errors import DataError, DeviceError
@@ -179,3 +180,27 @@ def test_counts_of_load_cells_are_decoded_whole_or_refused(tmp_path, old, new, w
     path.write_text(CELLS.replace(old, new))
     with pytest.raises(DataError, match=what):
         CanCells(config, None).frame_ids()
+
+
+@pytest.mark.parametrize(
+    ("device", "text", "signal"),
+    [
+        ("encoders", MULTIPLEXED.format(frame_id=100).replace("18@1+ (1,0)", "18@1- (1,0)"), "AngleFL"),
+        ("load_cells", CELLS.replace("Cell2 : 24|24@1- (1,0)", "Cell2 : 24|24@1- (0.5,0)"), "Cell2"),
+        ("load_cells", CELLS.replace("Cell2 : 24", "Cell2 m1 : 24"), "Cell2"),
+        ("load_cells", CELLS.replace("Cell2", "Other"), "Cell2"),
+        ("encoders", "not a dbc at all {", ""),
+    ],
+)
+def test_a_bench_names_itself_and_the_key_of_a_dbc_that_it_cannot_use(tmp_path, device, text, signal):
+    path = tmp_path / "other.dbc"
+    path.write_text(text)
+    bench = hil.open_bench("emulated", overrides={f"{device}.dbc": str(path)})
+    with pytest.raises(DataError) as caught, bench:
+        pass
+    said = str(caught.value)
+    assert said.startswith(f"emulated: {device}.dbc: {path}: ")
+    assert signal in said
+    assert caught.value.remedy
+    with pytest.raises(DataError, match=rf"{device}\.dbc"):
+        bench.devices.sensors[device].open()

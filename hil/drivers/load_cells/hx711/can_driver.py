@@ -54,8 +54,10 @@ def _layout(config: CanCellsConfig) -> tuple[int, int, tuple[RawSignal, ...]]:
         if not {signal.name for signal in message.signals} >= set(config.signals):
             continue
         fields = [raw_signal(message, n, path, expected, bits=_BITS, signed=True) for n in config.signals]
-        if any(field.sent_when for field in fields):
-            raise DataError(str(path), f"message {message.name} has multiplexed counts", expected=expected)
+        multiplexed = [n for n, field in zip(config.signals, fields, strict=True) if field.sent_when]
+        if multiplexed:
+            what = f"{' and '.join(multiplexed)} in message {message.name} is multiplexed"
+            raise DataError(str(path), what, expected=expected)
         return key_of_message(message, config.node_id, path), message.length, tuple(fields)
     raise DataError(
         str(path),
