@@ -214,7 +214,7 @@ def hold_keys(config: BenchConfig) -> tuple[str, ...]:
     fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
     alone = cells is None or bool(config.force_sensor_elsewhere())
     force = fan.ratings().keys if fan is not None and alone else ()
-    return (*force, *(push.push_keys if push is not None else ()), "robot.mass_kg")
+    return (*force, *(push.push_keys if push is not None else ()), "robot.mass_kg", "robot.centre_of_mass_m")
 
 
 def can_fall(config: BenchConfig) -> bool:

@@ -15,7 +15,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 
 from hil.config.environment import LEAST_FRICTION
 from hil.config.field_types import RECORDED, Strict, Within
-from hil.config.parameter import Parameter, each, times
+from hil.config.parameter import Parameter, each, plus, times
 from hil.core.geometry import Array
 from hil.robot.statics import GRAVITY_M_S2, Statics
 
@@ -52,6 +52,7 @@ class RobotConfig(Strict):
         ),
         Parameter("wheel_x_m", (times(0.5), each(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
         Parameter("wheel_y_m", (times(0.5), each(-1, -1, -1, -1), times(1.2)), ("mocap", "tracker")),
+        Parameter("centre_of_mass_m", (plus(0.0, 0.4), plus(0.0, 0.0, 0.221), plus(0.0, 0.0, -0.049))),
     )
 
     name: str = ""

@@ -125,6 +125,16 @@ def test_the_work_of_the_drives_shows_the_weight(key, said, true, low, high):
     assert bench.held.state == "HELD"
 
 
+@pytest.mark.parametrize("said", [(-0.049, 0.4, 0.079), (-0.049, -0.0065, 0.3)])
+def test_a_centre_of_mass_that_asks_for_more_adhesion_is_among_the_keys_to_look_at(said):
+    key = "robot.centre_of_mass_m"
+    bench = opened(wrong(key, said, (-0.049, -0.0065, 0.079)))
+    with pytest.raises(SafetyStop, match=r"robot\.centre_of_mass_m") as stop, bench:
+        pass
+    assert stop.value.reason == "adhesion"
+    assert {row.key: row.state for row in bench.parameters.rows()}[key] == "unconfirmed"
+
+
 def test_a_radius_is_told_with_the_factor_that_fits():
     bench = opened(wrong("robot.wheel_radius_m", (0.0508,) * 4, (0.0254,) * 4))
     with bench, pytest.raises(SafetyStop, match=r"robot\.wheel_radius_m"):

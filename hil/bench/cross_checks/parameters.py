@@ -116,6 +116,8 @@ class Parameters:
 
     def _awaited(self, parameter: Parameter) -> str:
         """What would measure a parameter."""
+        if not parameter.by:
+            return "no device measures it"
         nouns = {name: kinds()[name].noun for name in parameter.by}
         here = [noun for name, noun in nouns.items() if name in self._config.of_one_world().devices()]
         if here:
