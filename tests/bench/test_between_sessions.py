@@ -10,7 +10,7 @@ from hil.bench.doctor.examination import examine
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
-from hil.core.errors import DeviceError, SafetyStop
+from hil.core.errors import ConfigError, SafetyStop
 from hil.core.geometry import quat_from_yaw
 from hil.procedure.sample_arrays import inertial, poses
 from hil.robot.trajectories import line
@@ -82,7 +82,7 @@ def test_a_robot_that_is_to_move_says_so(kept, feedback):
 def test_no_filter_is_given_an_imu_that_has_turned_by_far(kept, found):
     overrides = turned(kept, 0.2)
     with open_bench("emulated", seed=SEED, overrides=overrides) as bench:
-        with pytest.raises(DeviceError, match="nothing is moved"):
+        with pytest.raises(ConfigError, match=r"imu\.mount_rotation_wxyz.*nothing is moved"):
             bench.drive(WAY, hold_s=0.1)
         assert math.hypot(*bench.truth().pose_body_in_wall[:2]) < 0.005
     _, motion = drive(overrides, "odometry")

@@ -12,22 +12,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.bench.hold.tilt_check import APART_RAD
+from hil.bench.hold.tilt_check import APART_RAD, up_by_imu
 from hil.config.bench import BenchConfig
-from hil.config.device import ImuConfig, MountedConfig, TrackerConfig
+from hil.config.device import MountedConfig, TrackerConfig
 from hil.config.mocap import MocapConfig
 from hil.config.servos import ServosConfig
 from hil.core.cross_check import CrossCheck
 from hil.core.geometry import Three, conjugated, mean_angle, multiplied, rotated, wrap, yaw_of_quat
 from hil.core.signals import Status
 from hil.loop.checks.out_of_plane import tipped_rad
-from hil.robot.statics import GRAVITY_M_S2
 
 MOST_RAD = 0.07
 """Difference that good mounts may have, 4 deg: fused gravity is good to 1 deg, a rigid body's axes to 2."""
 FEWEST = 10
 """Number of samples of a sensor from which it counts."""
-_CALM_M_S2 = 2.0
 _STEEP = 0.3
 """Share of gravity in the plane from which it gives a heading."""
 _Q = "mount_rotation_wxyz"
@@ -77,15 +75,8 @@ _RIGID = "or the axes of its plane"
 
 def _by_imu(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Three | None:
     """Up axis in the body by the IMU; None without enough samples, or if they are no gravity."""
-    mount = config.of(ImuConfig)
-    good = [s.gravity_m_s2 for s in seen.get("imu", ()) if s.status is Status.OK]
-    if mount is None or len(good) < FEWEST:
-        return None
-    up = np.mean(good, axis=0)
-    size_m_s2 = float(np.linalg.norm(up))
-    if not abs(size_m_s2 - GRAVITY_M_S2) <= _CALM_M_S2:
-        return None
-    return rotated(mount.mount_rotation_wxyz, (up / size_m_s2).tolist())
+    good = [s for s in seen.get("imu", ()) if s.status is Status.OK]
+    return up_by_imu(config, good) if len(good) >= FEWEST else None
 
 
 def _by_camera(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Three | None:

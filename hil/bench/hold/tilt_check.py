@@ -16,7 +16,7 @@ from hil.config.environment import LEAST_FRICTION
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError
-from hil.core.geometry import rotated
+from hil.core.geometry import Three, rotated
 from hil.core.signals import ImuSample, Status
 from hil.robot.statics import GRAVITY_M_S2
 
@@ -33,6 +33,26 @@ _REMEDY = (
 )
 
 
+def up_by_imu(config: BenchConfig, samples: Sequence[ImuSample]) -> Three | None:
+    """Unit vector against gravity in the body, by the IMU.
+
+    Args:
+        config: the bench configuration, with the mount of the IMU.
+        samples: good samples.
+
+    Returns:
+        The vector; None without samples, or if the magnitude of their mean is not that of gravity.
+    """
+    if not samples:
+        return None
+    mount = config.of(ImuConfig) or ImuConfig()
+    up = rotated(mount.mount_rotation_wxyz, np.mean([s.gravity_m_s2 for s in samples], axis=0).tolist())
+    size_m_s2 = math.hypot(*up)
+    if not abs(size_m_s2 - GRAVITY_M_S2) <= _CALM_M_S2:  # also true for NaN
+        return None
+    return up[0] / size_m_s2, up[1] / size_m_s2, up[2] / size_m_s2
+
+
 def tilt_rad(config: BenchConfig, samples: Sequence[ImuSample]) -> float:
     """Angle between the body's up axis and gravity's, by the IMU: 0 on a floor, pi/2 on a wall.
 
@@ -41,16 +61,10 @@ def tilt_rad(config: BenchConfig, samples: Sequence[ImuSample]) -> float:
         samples: good samples.
 
     Returns:
-        Tilt, rad; NaN without samples, or if the magnitude of their mean is not that of gravity.
+        Tilt, rad; NaN if it is not known.
     """
-    if not samples:
-        return math.nan
-    mount = config.of(ImuConfig) or ImuConfig()
-    up = rotated(mount.mount_rotation_wxyz, np.mean([s.gravity_m_s2 for s in samples], axis=0).tolist())
-    size_m_s2 = math.hypot(*up)
-    if not abs(size_m_s2 - GRAVITY_M_S2) <= _CALM_M_S2:  # also true for NaN
-        return math.nan
-    return math.acos(max(-1.0, min(1.0, up[2] / size_m_s2)))
+    up = up_by_imu(config, samples)
+    return math.nan if up is None else math.acos(max(-1.0, min(1.0, up[2])))
 
 
 def sees_the_tilt(config: BenchConfig) -> bool:
