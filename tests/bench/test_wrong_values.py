@@ -78,6 +78,20 @@ def test_gravity_shows_a_mount_but_for_a_turn_about_the_vertical():
     assert rows["environment.tilt_rad"].state == rows["mocap.body"].state == "confirmed"
 
 
+def test_two_mounts_that_are_turned_alike_are_named_beside_what_they_contradict():
+    turn, keys = turned("z", 7.0)(ONE), ("imu.mount_rotation_wxyz", "tracker.mount_rotation_wxyz")
+    rows, failed = examined(wrong(keys[0], turn, ONE) | wrong(keys[1], turn, ONE))
+    assert rows["mocap.body"].state == "contradicted"
+    assert any(all(key in f.found for key in ("mocap.body", *keys)) for f in failed)
+
+
+@pytest.mark.parametrize(("true", "state"), [(1.2, "unconfirmed"), (math.pi / 2.0, "confirmed")])
+def test_a_slope_that_gravity_shows_otherwise_is_not_confirmed(true, state):
+    rows, _ = examined({"emulation.environment.tilt_rad": true})
+    assert rows["environment.tilt_rad"].state == state
+    assert rows["environment.tilt_rad"].difference == pytest.approx(true - math.pi / 2.0, abs=0.03)
+
+
 def test_with_two_sources_either_may_be_wrong():
     turned_by = wrong("imu.mount_rotation_wxyz", turned("z", 30.0)(ONE), ONE)
     rows, _ = examined({**turned_by, "tracker": None})

@@ -67,10 +67,9 @@ def gravity_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> It
     yield from _tipped(config, here)
     headings = [_heading(config, name, up) for name, up in ups.items() if math.hypot(*up[:2]) > _STEEP]
     if config.environment.on_wall and config.environment.tilt_rad < math.pi - _STEEP:
-        yield from judged(headings + list(_by_capture(config, here)), _RIGID)
-
-
-_RIGID = "or the axes of its plane"
+        mounts = " and ".join(w.key for w in headings)
+        both = f", or both {mounts}: a plate that bears both" if len(headings) > 1 else ""
+        yield from judged(headings + list(_by_capture(config, here)), f"or the axes of its plane{both}")
 
 
 def _by_imu(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Three | None:
@@ -164,6 +163,9 @@ def _tilts(config: BenchConfig, ups: Mapping[str, Three]) -> Iterator[CrossCheck
             if len(tilts) == 1:
                 text += f"; if they are right, {first}.{_Q} is not"
             yield CrossCheck(key, file_rad, "contradicted", by, tilts[first], off_rad, text)
+        elif abs(off_rad) > MOST_RAD:  # wheels hold as the file says, and yet it is another slope
+            by += f", which show {math.degrees(tilts[first]):.0f} deg"
+            yield CrossCheck(key, file_rad, "unconfirmed", by, tilts[first], off_rad)
         else:
             yield CrossCheck(key, file_rad, "confirmed", by, tilts[first], off_rad)
         return
