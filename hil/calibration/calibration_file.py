@@ -309,9 +309,8 @@ def keep(path: Path) -> dict[str, str]:
     kept, content = kept_path(path, old.version), path.read_bytes()
     if not kept.exists():
         try:
-            kept.write_bytes(content)
+            put_whole(kept, content)
         except OSError as error:
-            kept.unlink(missing_ok=True)
             raise ConfigError(f"{kept}: cannot be written ({reason_of(error)})") from None
     elif kept.read_bytes() != content:
         raise ConfigError(

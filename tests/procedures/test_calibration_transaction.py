@@ -1,6 +1,9 @@
 """A calibration as a transaction: versions side by side, applied after validation, rolled back, refused."""
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -65,6 +68,26 @@ def test_a_file_that_was_written_by_hand_is_kept_before_another_takes_its_place(
     assert radius(versions.path.with_name("calibration.v1.toml")) == 0.0250
     assert versions.versions()[-1].file.previous["file"] == "calibration.v1.toml"
     assert versions.rollback().file.parameters.r_m[0] == 0.0250
+
+
+KILLED = """
+import resource, signal, sys
+from pathlib import Path
+from hil.calibration.calibration_file import keep
+signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+keep(Path(sys.argv[1]))
+"""
+"""Keeps a file; the kernel kills it after the first 100 bytes."""
+
+
+def test_a_kill_while_a_version_is_kept_leaves_no_half_of_it(versions):
+    save_calibration(versions.path, made(0.0250))
+    done = subprocess.run([sys.executable, "-c", KILLED, str(versions.path)], check=False, timeout=300)
+    assert done.returncode == -signal.SIGXFSZ
+    assert [v.in_place for v in versions.versions()] == [True]
+    versions.add(made(0.0251))
+    assert radius(versions.path.with_name("calibration.v1.toml")) == 0.0250
 
 
 def test_two_contents_under_one_number_are_named(versions):
