@@ -14,6 +14,7 @@ from hil.datasets.changed_wheels import with_changed_wheels
 from hil.datasets.drive_coverage import covered
 from hil.datasets.duplicates import without_copies
 from hil.datasets.mapped_recordings import PUBLIC, read_mapped
+from hil.datasets.misplaced_columns import with_misplaced_columns
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
 from hil.datasets.topic_map import TopicMap, read_topic_map
@@ -151,7 +152,8 @@ def read_recordings(
         times = _times_given(jobs[job.identity])
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
-    out = corrected(decoupled(named_apart(without_copies(out)), robot.geometry, coupling))
+    out = decoupled(named_apart(without_copies(out)), robot.geometry, coupling)
+    out = corrected(with_misplaced_columns(out))
     check_signs(out, robot, of_all=unusable is not None)
     return with_changed_wheels(out, robot.geometry)
 
