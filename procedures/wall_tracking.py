@@ -248,6 +248,7 @@ def one_world(ctx: Context, seed: int, found: World) -> World:
     """
     p: Parameters = ctx.parameters
     jobs = drives(p)
+    _tell(ctx, seed, found)
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(seed=seed)
         drive_jobs = [DriveJob(source, partial(drive, one=one, p=p), _label(one, seed)) for one in jobs]
@@ -263,7 +264,15 @@ def one_world(ctx: Context, seed: int, found: World) -> World:
 
 def _take(ctx: Context, seed: int, found: World, one: Drive, result: dict[str, Any]) -> None:
     found[one.label] = result if seed == ctx.seed else {"errors": result["errors"]}
-    ctx.progress(f"seed {seed}", len(found), len(drives(ctx.parameters)))
+    _tell(ctx, seed, found)
+
+
+def _tell(ctx: Context, seed: int, found: World) -> None:
+    """Report how many drives of a world, and of all worlds, are done."""
+    p: Parameters = ctx.parameters
+    drives_each = len(drives(p))
+    whole = ((seed - ctx.seed) * drives_each + len(found), p.seeds * drives_each)
+    ctx.progress(f"seed {seed}", len(found), drives_each, whole)
 
 
 def _label(one: Drive, seed: int) -> str:

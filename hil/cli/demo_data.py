@@ -4,6 +4,7 @@ Without `--plant` recordings come from formulas (seconds). With it an emulated b
 physics named: the same servos and cameras, wires and faults as in any other run (minutes).
 """
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -195,12 +196,13 @@ def _from_a_bench(
     varied = {"emulation.plant": plant, **({"emulation.contact": contact} if contact else {})}
     config = load_bench(bench, emulate="all", overrides={**unused(), **varied})
     truth: dict[str, Any] = {}
+    made, wanted = itertools.count(1), repetitions * len(motions)
     with reporting() as report:
+        report("recordings", 0, wanted)
         for number in range(1, repetitions + 1):
-            report("repetition", number - 1, repetitions)
             with open_bench(config, seed=seed, faults=faults) as driven:
                 assert driven.world is not None
                 truth = hidden_truth(driven.world)
-                drive_repetition(driven, Repetition(folder, motions, number, Sizes()))
-        report("repetition", repetitions, repetitions)
+                repetition = Repetition(folder, motions, number, Sizes())
+                drive_repetition(driven, repetition, lambda: report("recordings", next(made), wanted))
     return {**truth, "plant": plant, "contact": contact, "nominal": on_paper(config).to_json()}

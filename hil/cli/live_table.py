@@ -1,8 +1,8 @@
 """Table of a running bench on a terminal: rate, age, state and values of every device, rewritten in place.
 
-The figures are those of the console (`hil.monitor.status_stream`). A thread writes them, so that a terminal
-that stands still (Ctrl-S) does not hold up the loop; figures that it cannot take are left out. When the loop
-has ended, what is seen of the robot takes the place of figures that are true no more.
+The figures are those of the console (`hil.monitor.status_stream`). A thread lays them out and writes them:
+neither that nor a terminal that stands still (Ctrl-S) holds up the loop. Figures that it cannot take are left
+out. When the loop has ended, what is seen of the robot takes the place of figures that are true no more.
 """
 
 import os
@@ -43,7 +43,7 @@ class LiveTable(StatusStream):
     ) -> None:
         super().__init__(self._show, clock, config, limited)
         self._terminal = terminal.fileno()
-        self._texts: Queue[str | None] = Queue(1)
+        self._waiting: Queue[tuple[str, _Figures] | None] = Queue(1)
         self._writer: threading.Thread | None = None
 
     def close(self) -> None:
@@ -52,7 +52,7 @@ class LiveTable(StatusStream):
         if self._writer is None:
             return
         try:
-            self._texts.put(None, timeout=_LONGEST_WAIT_S)
+            self._waiting.put(None, timeout=_LONGEST_WAIT_S)
             self._writer.join(_LONGEST_WAIT_S)
         except Full:  # the terminal stands still, and the thread is left to it
             pass
@@ -62,24 +62,26 @@ class LiveTable(StatusStream):
         if kind not in _SHOWN:
             return
         if self._writer is None:
-            self._writer = threading.Thread(target=self._write, args=(self._texts,), daemon=True)
+            self._writer = threading.Thread(target=self._write, args=(self._waiting,), daemon=True)
             self._writer.start()
-        with suppress(Full, OSError):  # no terminal any more
-            size = os.get_terminal_size(self._terminal)
-            lines = [figures["words"]] if kind == "watched" else [_motion(figures), *table(figures)]
-            self._texts.put_nowait(frame(lines, size.columns or _COLUMNS, size.lines or _ROWS))
+        with suppress(Full):
+            self._waiting.put_nowait((kind, figures))
 
-    def _write(self, texts: Queue[str | None]) -> None:
-        while True:
-            text = texts.get()
-            data = (_CLEAR if text is None else text).encode()
-            while data:
-                try:
+    def _write(self, waiting: Queue[tuple[str, _Figures] | None]) -> None:
+        with suppress(OSError):  # the terminal is gone; the session notices by itself
+            while True:
+                told = waiting.get()
+                data = (_CLEAR if told is None else self._text(*told)).encode()
+                while data:
                     data = data[os.write(self._terminal, data) :]
-                except OSError:  # the terminal is gone; the session notices by itself
+                if told is None:
                     return
-            if text is None:
-                return
+
+    def _text(self, kind: str, figures: _Figures) -> str:
+        """The table for the terminal, as wide and high as it is now."""
+        size = os.get_terminal_size(self._terminal)
+        lines = [figures["words"]] if kind == "watched" else [_motion(figures), *table(figures)]
+        return frame(lines, size.columns or _COLUMNS, size.lines or _ROWS)
 
 
 def frame(whole: Sequence[str], columns: int, rows: int) -> str:

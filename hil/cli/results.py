@@ -12,6 +12,7 @@ import click
 
 from hil.cli.completion_types import PROCEDURE, RUN
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
+from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, shown_path
 from hil.core.result_names import TRENDS
 
@@ -208,7 +209,8 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
     from hil.report.history.query import named
 
     kept = named(find_results(where), run)
-    page = page_of(kept)
+    with reporting(quiet=as_json) as report:
+        page = page_of(kept, report)
     if browser is None:
         screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         browser = bool(screen) and sys.stdout.isatty() and not as_json

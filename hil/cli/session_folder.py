@@ -18,7 +18,7 @@ from hil.support.atomic_files import check_folder, check_new_file, put_whole, re
 if TYPE_CHECKING:
     from hil.bench import Bench
 
-_LISTED = ("ended", "held", "samples", "events", "recording", "commands")
+_LISTED = ("ended", "held", "samples", "events", "recording", "commands", "first_cycle_s")
 
 out_option = click.option(
     "--out", type=OUT, help="New folder of the session, for the history [default: out/live/TIME]."

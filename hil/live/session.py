@@ -15,7 +15,7 @@ import numpy as np
 from hil.bench import Bench
 from hil.bench.loop_settings import motion_limits
 from hil.config.servos import ServosConfig
-from hil.core.clock import nanoseconds
+from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import Aborted, HilError
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink
@@ -194,6 +194,7 @@ class LiveSession:
             "pose": pose,
             "events": bench.seen.rows(),
             "held": bench.held.to_json(),
+            "first_cycle_s": bench.first_cycle_ns / NS_PER_S,
         }
         if injected := bench.injection.report():
             found["injected"] = injected

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -138,8 +138,10 @@ def followed(
     return slowed(path, geometry.projection(), limits, at_most=_SLOWED_AT_MOST)
 
 
-def drive_repetition(bench: Bench, repetition: Repetition) -> None:
-    """Drive all motions of a repetition and write their recordings.
+def drive_repetition(
+    bench: Bench, repetition: Repetition, written: Callable[[], object] = lambda: None
+) -> None:
+    """Drive all motions of a repetition and write their recordings; call `written` after each.
 
     The first rest is a little longer in every repetition and part, so that two worlds of one seed do not
     repeat each other's noise.
@@ -154,6 +156,7 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> None:
         file = repetition.folder / repetition.file(name)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_plain(file, recording_of(motion, file.stem, name))
+        written()
 
 
 def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:

@@ -112,10 +112,13 @@ class RecordingReader:
                 remedy=f"{COPY_AGAIN}, or read it with the version that wrote it",
             ) from None
 
-    def items(self) -> Iterator[CycleRecord | Note]:
+    def items(self, every_ns: int = 0) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order of their log times, in which they were written.
 
         A message that stands in the file twice, as a file merged with itself has it, counts once.
+
+        Args:
+            every_ns: shortest time between two cycles, ns; those between them are passed over.
 
         Raises:
             DataError: the file was merged from several recordings.
@@ -131,8 +134,12 @@ class RecordingReader:
                 f"holds {several} recordings in one file, whose cycles cannot be told apart",
                 remedy="name the recordings that it was merged from",
             )
-        repeated, latest_ns, read = 0, -1, set[tuple[str, bytes]]()
+        repeated, latest_ns, read, next_ns = 0, -1, set[tuple[str, bytes]](), 0
         for channel, message in messages_of(self.path, lambda c: c.topic in (_CYCLE, _NOTE), self.problems):
+            if channel.topic == _CYCLE and every_ns:
+                if message.log_time < next_ns:
+                    continue
+                next_ns = message.log_time + every_ns
             if message.log_time != latest_ns:
                 latest_ns, read = message.log_time, set()
             if (channel.topic, message.data) in read:

@@ -3,9 +3,10 @@
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from hil.core.errors import DataError, reason_of
 from hil.core.path_hints import meant
@@ -13,6 +14,8 @@ from hil.support.file_reading import must_be_file
 
 COPY_AGAIN = "copy it again from where it was recorded"
 _MAGIC_BYTES, _ZSTD = 8, b"\x28\xb5\x2f\xfd"
+_HEAD, _NUMBER = struct.Struct("<BQ"), struct.Struct("<H")
+"""Opcode and length before each record; number of the channel, with which a message begins."""
 
 
 def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
@@ -23,13 +26,11 @@ def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
     Raises:
         DataError: the file cannot be read or is not MCAP.
     """
-    from mcap.stream_reader import StreamReader
-
     try:
         must_be_file(path)
         with path.open("rb") as stream:
             size = max(1, path.stat().st_size)
-            records, at = StreamReader(stream, emit_chunks=True, record_size_limit=size).records, 0
+            records, at = _reader(stream, size).records, 0
             while True:
                 try:
                     record = next(records)
@@ -46,6 +47,21 @@ def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
                 at = stream.tell()
     except OSError as error:
         raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
+
+
+def _reader(stream: BinaryIO, size: int) -> Any:
+    """Reader of the records of a stream that passes over indexes of messages: nobody here asks for them."""
+    from mcap.opcode import Opcode
+    from mcap.stream_reader import StreamReader
+
+    class Reader(StreamReader):
+        def _read_record(self, opcode: int, length: int) -> Any:
+            if opcode != Opcode.MESSAGE_INDEX:
+                return super()._read_record(opcode, length)
+            self._stream.read(length)
+            return None
+
+    return Reader(stream, emit_chunks=True, record_size_limit=size)
 
 
 @dataclass(frozen=True)
@@ -121,13 +137,16 @@ def _pieces(
 ) -> Iterator[list[tuple[Any, Any]]]:
     """Channel and message of wanted channels: those of each chunk, and each message outside chunks."""
     from mcap.records import Channel, Chunk, Message
-    from mcap.stream_reader import breakup_chunk
 
     channels: dict[int, Any] = {}
     unknown = 0
+
+    def takes(number: int) -> bool:
+        return number not in channels or wanted(channels[number])
+
     for at, record in records_of(path, problems):
         try:
-            parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            parts = list(_parts_of(record, takes)) if isinstance(record, Chunk) else [record]
         except Exception as error:  # whatever unpacking makes of damaged bytes
             problems.append(f"the chunk at byte {at} is damaged ({error})")
             channels = {**_channels_outside_chunks(path), **channels}
@@ -152,6 +171,24 @@ def _channels_outside_chunks(path: Path) -> dict[int, Any]:
     from mcap.records import Channel
 
     return {record.id: record for _, record in records_of(path, []) if isinstance(record, Channel)}
+
+
+def _parts_of(chunk: Any, takes: Callable[[int], bool]) -> Iterator[Any]:
+    """Channels of a chunk, whose checksum must be right, and messages of the channels that are taken."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Message
+    from mcap.stream_reader import get_chunk_data_stream
+
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    data, at = stream.read(size), 0
+    while at < size:
+        opcode, length = _HEAD.unpack_from(data, at)
+        begin, at = at + _HEAD.size, at + _HEAD.size + length
+        if opcode == Opcode.CHANNEL:
+            yield Channel.read(ReadDataStream(BytesIO(data[begin:at])))
+        elif opcode == Opcode.MESSAGE and takes(_NUMBER.unpack_from(data, begin)[0]):
+            yield Message.read(ReadDataStream(BytesIO(data[begin:at])), length)
 
 
 def _in_order(path: Path) -> bool:

@@ -109,9 +109,14 @@ def read_runs(path: str | Path, problems: list[str] | None = None) -> Iterator[R
 
 
 def read_cycles_of_runs(
-    path: str | Path, problems: list[str] | None = None
+    path: str | Path, problems: list[str] | None = None, every_ns: int = 0
 ) -> Iterator[tuple[int, RunStart | None, CycleRecord]]:
     """Every cycle of a recording with the number and the start of its run; see `read_runs`.
+
+    Args:
+        path: the MCAP file.
+        problems: list for what could not be read, as of `read_runs`.
+        every_ns: shortest time between two cycles, ns, as of `RecordingReader.items`.
 
     Raises:
         DataError: the file is no recording of ours, see `RecordingReader`.
@@ -119,7 +124,7 @@ def read_cycles_of_runs(
     reader = RecordingReader(path)
     start: RunStart | None = None
     number, latest = 0, -1
-    for item in reader.items():
+    for item in reader.items(every_ns):
         begins = item.kind == RUN_NOTE if isinstance(item, Note) else item.cycle <= latest
         if begins and latest >= 0:
             start, number, latest = None, number + 1, -1

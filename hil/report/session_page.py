@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from hil.core.known_names import JOG
 from hil.core.registry import kinds
 from hil.core.result_names import LIVE_RECORDING, SESSION, SESSION_PAGE, end_of_session
 from hil.core.signals import WHEELS, CycleRecord
+from hil.recording.mcap_reader import RecordingReader
 from hil.recording.runs import read_cycles_of_runs
 from hil.report import device_history, holding_force_history, path_history
 from hil.report.figure_rows import DrivenRows
@@ -24,6 +25,7 @@ from hil.report.overview import Drawn, Overview, Table, write_overview
 from hil.report.page_formats import duration
 from hil.report.result_reader import own_file
 from hil.support.file_reading import read_json
+from hil.support.progress import Report, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,7 +58,7 @@ class WheelHistory(Sink):
         rows = np.array(self._driven.rows)
         figure = new_figure(5.2, 4.2)
         for place, label in ((1, "rate (rad/s)"), (2, "steering angle (deg)")):
-            axes = style(figure.add_subplot(2, 1, place), "time (s)" if place == 2 else "", label)
+            axes = style(figure.add_subplot(2, 1, place), "time driven (s)" if place == 2 else "", label)
             for k, name in enumerate(WHEELS):
                 values = rows[:, 1 + k] if place == 1 else np.degrees(rows[:, 5 + k])
                 axes.plot(rows[:, 0], values, color=SERIES[k], lw=1.3, label=name)
@@ -64,8 +66,12 @@ class WheelHistory(Sink):
         return figure
 
 
-def write_session_page(folder: Path) -> Path:
+def write_session_page(folder: Path, report: Report = silent) -> Path:
     """Write the page of a live session beside its `session.json`; return its path.
+
+    Args:
+        folder: folder of the session.
+        report: progress of reading its recording.
 
     Raises:
         DataError: there is no such session, it has no recording, or the page cannot be written.
@@ -77,7 +83,10 @@ def write_session_page(folder: Path) -> Path:
     recording = Path(str(written["path"])) if isinstance(written, dict) else folder / LIVE_RECORDING
     recording = recording if recording.is_file() else folder / LIVE_RECORDING
     problems: list[str] = []
-    figures, seconds = _figures(recording, problems) if recording.is_file() else ([], 0.0)
+    figures, seconds = [], 0.0
+    if recording.is_file():
+        cycles = int(written.get("written", 0)) if isinstance(written, dict) else 0
+        figures, seconds = _figures(recording, problems, lambda done: _tell(report, done, cycles))
     held, faults = tree.get("held"), [str(fault) for fault in tree.get("faults") or ()]
     end = end_of_session(str(tree.get("ended")), str(held.get("state"))) if isinstance(held, dict) else "?"
     sentence = "It still runs, or was killed."
@@ -94,12 +103,23 @@ def write_session_page(folder: Path) -> Path:
     return write_overview(own_file(folder, SESSION_PAGE), page)
 
 
-def _figures(recording: Path, problems: list[str]) -> tuple[list[Drawn], float]:
-    """Return figures of a recording, and its duration in s."""
+def _tell(report: Report, cycle: int, cycles: int) -> None:
+    """Report how much of a recording of so many cycles is read, if the number is known."""
+    if cycles:
+        report("reading the recording", min(cycle, cycles), cycles)
+
+
+def _figures(
+    recording: Path, problems: list[str], read: Callable[[int], object]
+) -> tuple[list[Drawn], float]:
+    """Return figures of a recording, and its duration in s; call `read` with the number of each cycle."""
     path, hold = path_history.PathHistory(), holding_force_history.HoldHistory()
     devices, wheels = device_history.DeviceHistory(), WheelHistory()
     first_ns, last_ns, of_joint = None, 0, False
-    for _, start, record in read_cycles_of_runs(recording, problems):
+    # samples of an added kind may be rare, and are looked for in every cycle
+    every_ns = 0 if RecordingReader(recording).packages else _EVERY_NS
+    for _, start, record in read_cycles_of_runs(recording, problems, every_ns):
+        read(record.cycle)
         of_joint |= start is not None and (start.controller or "").startswith(JOG)
         for sink in (path, hold, devices, wheels):
             sink.write(record)
@@ -121,6 +141,12 @@ def _figures(recording: Path, problems: list[str]) -> tuple[list[Drawn], float]:
 def _facts(tree: Mapping[str, Any], recording: Path, seconds: float) -> Iterator[str]:
     emulated, real = (", ".join(map(str, tree.get(key) or ())) for key in ("emulated", "real"))
     yield f"began {str(tree.get('began')).replace('T', ' ')}, {duration(seconds)} recorded"
+    first_s = tree.get("first_cycle_s")
+    if isinstance(first_s, float):
+        yield (
+            "times of events count from the opening of the bench; the figures begin with the first cycle, "
+            f"{first_s:.2f} s later, and leave pauses out"
+        )
     yield f"bench {tree.get('bench')}; real: {real or 'none'}; emulated: {emulated or 'none'}"
     if recording.is_file():
         yield f"recording; to compare estimators: hil replay {shown_path(recording)} --page compared.html"

@@ -56,6 +56,19 @@ def test_table_holds_the_measured_values():
     np.testing.assert_allclose(column(table, "x"), [r.measurements.mocap[0].pose[0] for r in records])
 
 
+def test_trajectories_are_those_of_the_table(recording, tmp_path):
+    done = CliRunner().invoke(
+        command, [str(recording), "--format", "tum", "--out", str(tmp_path), "--json"], standalone_mode=False
+    )
+    files = json.loads(done.output)["files"]
+    assert sorted(os.listdir(tmp_path)) == sorted(map(os.path.basename, files))
+    table = tabulate([driving_record(k) for k in range(CYCLES)])
+    for name, first in (("estimate", "estimate_x_m"), ("truth", "x")):
+        rows = np.loadtxt(tmp_path / f"{name}.tum")
+        np.testing.assert_allclose(rows[:, 0], column(table, "t"), atol=1e-9)
+        np.testing.assert_allclose(rows[:, 1], column(table, first), atol=1e-9)
+
+
 def test_truth_is_not_invented_inside_gaps():
     records = []
     for k in range(60):

@@ -47,6 +47,12 @@ def test_every_cycle_comes_back_exactly(tmp_path, lossless):
     assert read_header(path) == HEADER
 
 
+def test_cycles_at_a_distance_are_those_of_all_cycles(recording):
+    some = list(RecordingReader(recording).items(5 * PERIOD_NS))
+    assert [record.cycle for record in some] == list(range(0, 220, 5))
+    assert first_difference(driving_record(some[3].cycle), some[3]) is None
+
+
 def test_notes_keep_their_place_and_their_floats(tmp_path):
     recorder = McapRecorder(tmp_path / "r", {}, lossless=True)
     recorder.write(driving_record(0))

@@ -136,7 +136,7 @@ function viewer(job) {
 }
 
 function ended(job) {
-  const held = job.held ? [make("p", {}, make("span", { class: `tag ${job.held.state}` }, job.held.state), ` ${job.held.why}`)] : [];
+  const held = job.held ? [make("p", { class: "in-bar" }, make("span", { class: `tag ${job.held.state}` }, job.held.state), ` ${job.held.why}`)] : [];
   const link = job.link ? [make("p", {}, make("a", { href: job.link, target: "_blank", rel: "noopener" }, "Open the report"))] : [];
   return [
     make("p", {}, make("strong", {}, job.title), " ", make("span", { class: `tag ${job.verdict}`, id: "verdict" }, job.verdict)),
@@ -330,4 +330,5 @@ async function begin() {
   devices();
   await poll();
 }
+if (window.parent !== window) document.body.classList.add("inside"); // below the bar with STOP
 begin().catch(say);
