@@ -1,4 +1,4 @@
-"""Handles signals during a run: finish the step, or stop now.
+"""Handles signals during a run: finish the step, or stop now; and then leave out drawing the figures.
 
 The first SIGINT requests an orderly end after the current step, which may take `patience_s`. A second
 SIGINT, SIGTERM, SIGHUP or a step that takes longer stops the work at once: `Aborted` is raised in the main
@@ -32,6 +32,10 @@ _BY = {
 """The source of a signal, in words."""
 
 
+class _LeftOut(BaseException):
+    """Ends work that a user does not want to wait for; not caught by code that handles errors."""
+
+
 class Interrupts:
     """State of the signals of one run.
 
@@ -52,6 +56,7 @@ class Interrupts:
         self._stop: str | None = None
         self._deferred = 0
         self._raised = False
+        self._can_be_left_out = False
 
     @property
     def asked_to_finish(self) -> bool:
@@ -83,6 +88,9 @@ class Interrupts:
 
     def handle(self, number: int, _frame: FrameType | None = None) -> None:
         """Handle a signal: request a stop, or raise `Aborted`."""
+        if self._can_be_left_out:
+            self._can_be_left_out = False
+            raise _LeftOut
         name = signal.Signals(number).name
         if number == signal.SIGINT:
             self._sigints += 1
@@ -137,6 +145,31 @@ class Interrupts:
             self._deferred = deferred
 
     @contextmanager
+    def left_out_on_request(self, what: str) -> Iterator[None]:
+        """After a signal has ended the run: say what is done now, and leave it out at a further signal.
+
+        Args:
+            what: the work, without which the results are complete.
+        """
+        if not self.asked_to_finish:
+            yield
+            return
+        self._end_timer()
+        self._tell(f"{what}; press Ctrl-C again to leave that out")
+        try:
+            self._can_be_left_out = True
+            yield
+        except _LeftOut:
+            self._tell(f"{what}: left out")
+        finally:
+            self._can_be_left_out = False
+
+    def _end_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer.join()  # a signal that it has sent is still handled here
+
+    @contextmanager
     def installed(self) -> Iterator[None]:
         """Handle the signals of this process; does nothing outside of the main thread."""
         with handled_by(self.handle):
@@ -145,9 +178,8 @@ class Interrupts:
                 yield
             finally:
                 self._installed -= 1
-                if not self._installed and self._timer is not None:
-                    self._timer.cancel()
-                    self._timer.join()  # a signal that it has sent is still handled here
+                if not self._installed:
+                    self._end_timer()
 
 
 @contextmanager

@@ -7,6 +7,7 @@ run describes what would be done, without moving anything.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -189,11 +190,17 @@ def _execute(context: Context) -> tuple[Failure | None, list[Failure], dict[str,
     _attempt("closing the bench", benches.close, limit_s, context, late)
     if error is not None:  # what was driven until then is shown, once the robot is held
         with context.results.replacing():
-            _attempt("drawing the figures", benches.show_histories, limit_s, context, late)
+            _attempt("drawing the figures", partial(_show, context), limit_s, context, late)
     lost = benches.unrecorded()
     if error is None and lost is not None:
         error = failure(lost, context, "recording")
     return error, late, statistics
+
+
+def _show(context: Context) -> None:
+    """Draw what was driven until an early end, unless the user does not want to wait for it."""
+    with context.options.interrupts.left_out_on_request("drawing figures of what was driven"):
+        context.benches.show_histories()
 
 
 def _attempt(

@@ -241,6 +241,21 @@ def test_a_signal_waits_for_the_end_of_what_must_be_whole():
         interrupts.stop_here()
 
 
+def test_figures_are_not_waited_for_after_a_further_signal():
+    told, drawn = [], []
+    interrupts = Interrupts(told.append)
+    with interrupts.deferred(), interrupts.left_out_on_request("drawing"):
+        interrupts.handle(signal.SIGINT)
+        drawn.append("of a run that nobody had ended")
+    with interrupts.deferred(), interrupts.left_out_on_request("drawing"):
+        drawn.append("the first")
+        interrupts.handle(signal.SIGINT)
+        drawn.append("the second")
+    assert drawn == ["of a run that nobody had ended", "the first"]
+    assert [line.startswith("drawing") for line in told] == [False, True, True]
+    assert interrupts.stopping() is None, "what comes after is kept"
+
+
 class StruckPart:
     """A part of the emulated world in whose action the process gets a signal, 0.2 s after the start."""
 
