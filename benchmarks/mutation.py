@@ -124,7 +124,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
         "hil/datasets/read.py",
         ("tests/recording/test_names_and_copies.py", "-k", "no_copy or another_clock or packed_and"),
     ),
-    "unit_factors": ("hil/datasets/unit_factors.py", ("tests/calibration/test_units.py",)),
+    "column_units": ("hil/datasets/column_units.py", ("tests/calibration/test_units.py",)),
     "applied": (
         "hil/calibration/applied_warnings.py",
         ("tests/calibration/test_calibration_commands.py", "-k", "fitted or names_no_files or another_model"),

@@ -21,7 +21,7 @@ from hil.config.field_types import bounds_of
 from hil.core.device import DeviceModel
 from hil.core.registry import kinds
 from hil.core.signals import KINDS
-from hil.fakes.emulation_request import ranges
+from hil.fakes.imperfection_bounds import ranges
 
 OPTIONS = {
     (kind, model.name): model.truth_options()

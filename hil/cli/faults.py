@@ -15,7 +15,7 @@ from click.core import ParameterSource
 
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import FAULT
-from hil.cli.fault_cells import DEFAULTS, Asked, cells_at_links, on_devices
+from hil.cli.fault_request import DEFAULTS, Asked, cells_at_links, on_devices
 from hil.cli.interrupted_series import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting

@@ -5,11 +5,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
+from hil.config.assumed_parameters import Parameter, instead, times
 from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.device import DeviceConfig
 from hil.config.field_types import PolePairs, Switch, Within
-from hil.config.parameter import Parameter, instead, times
 from hil.robot.motor_cross_checks import DROOP, MotorRatings, force_of_speed
 
 VESC_ID = "VESC id"

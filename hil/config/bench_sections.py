@@ -4,8 +4,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from hil.config.assumed_parameters import Parameter, each, plus
 from hil.config.field_types import HeadingLimit, Signs, SteeringZero, Strict, Switch, WheelRate, Within
-from hil.config.parameter import Parameter, each, plus
 
 Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
 

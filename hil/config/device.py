@@ -2,8 +2,8 @@
 
 from typing import Annotated, ClassVar, Literal
 
+from hil.config.assumed_parameters import TURNED, Parameter, plus, times
 from hil.config.field_types import Delay, Strict, UnitQuaternion, Within
-from hil.config.parameter import TURNED, Parameter, plus, times
 
 Metres = Annotated[float, Within(-5.0, 5.0, "m in the body")]
 Position = tuple[Metres, Metres, Metres]

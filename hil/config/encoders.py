@@ -8,9 +8,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
+from hil.config.assumed_parameters import Parameter, each, order, plus
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.field_types import Angle, FrameOffset, Patience, Signs, Switch, Within
-from hil.config.parameter import Parameter, each, order, plus
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
 _SHIPPED_FRAMES = (0x1A0, 0x1A1, 0x1A2)

@@ -5,8 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from hil.config.assumed_parameters import Parameter, instead
 from hil.config.field_types import Angle, Strict, Within
-from hil.config.parameter import Parameter, instead
 
 FLOOR_TILT_RAD = 0.1
 """A steeper surface counts as a wall, with its guards: a robot whose wheels lose their grip slides there."""

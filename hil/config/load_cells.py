@@ -6,10 +6,10 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from hil.config.assumed_parameters import Parameter, each, plus, times
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.device import DeviceConfig
 from hil.config.field_types import Baud, FrameOffset, Patience, Within
-from hil.config.parameter import Parameter, each, plus, times
 
 SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
 _SHIPPED_FRAME = 0x1B0

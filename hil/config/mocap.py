@@ -5,9 +5,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from hil.config.assumed_parameters import Parameter, instead, turned
 from hil.config.device import DeviceConfig
 from hil.config.field_types import Delay, Freshness, NetworkPort, Patience, PosesAgain, Within
-from hil.config.parameter import Parameter, instead, turned
 
 Body = Annotated[str | int, Within(0, 2**31 - 1, "a streaming id of Motive")]
 _OTHER_AXES = tuple(

@@ -13,9 +13,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import ValidationInfo, field_validator, model_validator
 
+from hil.config.assumed_parameters import Parameter, each, plus, times
 from hil.config.environment import LEAST_FRICTION
 from hil.config.field_types import RECORDED, Strict, Within
-from hil.config.parameter import Parameter, each, plus, times
 from hil.core.geometry import Array
 from hil.robot.statics import GRAVITY_M_S2, Statics
 

@@ -6,9 +6,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from hil.config.assumed_parameters import Parameter, order
 from hil.config.device import DeviceConfig
 from hil.config.field_types import Patience, Switch, WheelRate, Within
-from hil.config.parameter import Parameter, order
 from hil.config.servo_models import ServoModel, model_text, models_text, servo_models
 from hil.config.servo_models.x_series_codes import (
     BAUD_CODES,

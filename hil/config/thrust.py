@@ -5,9 +5,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from hil.config.assumed_parameters import Parameter, times
 from hil.config.device import DeviceConfig
 from hil.config.field_types import Baud, Patience, Within
-from hil.config.parameter import Parameter, times
 from hil.core.errors import UsageError
 
 STEPS = 180

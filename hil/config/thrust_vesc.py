@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator
 
 from hil.config.adhesion import VESC_ID, VescConfig, VescId
+from hil.config.assumed_parameters import Parameter, instead, times
 from hil.config.can_bus import Claim
 from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.field_types import PolePairs, Within
-from hil.config.parameter import Parameter, instead, times
 from hil.config.thrust import ThrustConfig
 from hil.robot.motor_cross_checks import MotorRatings
 

@@ -17,7 +17,7 @@ def hold(job: Job, key: str) -> str:
         key: key of `hil jog` that the button stands for, of `KEYS`.
 
     Returns:
-        Why nothing moves, in words; empty if the key was passed on.
+        Reason why nothing moves; empty if the key was passed on.
     """
     if job.words[:1] != ("jog",):
         return f"{job.title} takes no keys: start jog"

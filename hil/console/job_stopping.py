@@ -43,7 +43,7 @@ def finish(job: Job) -> str:
     """End one job after its step, as one Ctrl-C does. Never twice: a second SIGINT would end it at once.
 
     Returns:
-        Why no signal was sent, in words; empty if it was sent.
+        Reason why no signal was sent; empty if it was sent.
 
     Raises:
         OSError: the folder of the job cannot be written.

@@ -197,7 +197,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
         text: text of the answer; becomes one line, shorter than `PIPE_BUF` in bytes of UTF-8.
 
     Returns:
-        Why the answer was rejected, in words; empty if it was accepted.
+        Reason why the answer was rejected; empty if it was accepted.
 
     Raises:
         OSError: the folder of the job cannot be written.

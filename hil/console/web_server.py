@@ -61,7 +61,7 @@ class Server(ThreadingHTTPServer):
 
     Args:
         port: TCP port of this computer; 0 for any that is free.
-        token: without which nothing is served.
+        token: secret without which nothing is served.
         cookie: name under which browsers keep the token.
         routes: functions that answer requests, by `(method, path)`.
         policy: content security policy of every reply that has none of its own.

@@ -9,7 +9,7 @@ class WatchedRobot:
 
     Attributes:
         why: reason for which the loop was stopped; empty before the first loop, and after a planned end.
-        doubt: why the robot does not count as held yet; empty where nothing speaks against it.
+        doubt: reason why the robot does not count as held yet; empty where nothing speaks against it.
         rest_s: time for which the wheels have been at rest by the servos, s; None where they turn, or are not
             seen.
     """

@@ -11,8 +11,8 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array, Bools
+from hil.datasets.wheel_displacements import Drive, by_truth
 from hil.datasets.wheel_log import Recording
-from hil.datasets.wheel_ways import Drive, by_truth
 from hil.robot.kinematics import WheelGeometry
 
 _RESTS_M, _STEERS_RAD = 1.5e-3, 0.05

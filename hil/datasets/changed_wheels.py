@@ -13,8 +13,8 @@ import numpy as np
 
 from hil.core.signals import WHEELS
 from hil.datasets.odd_wheels import ways
+from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
-from hil.datasets.wheel_ways import Complexes
 from hil.robot.kinematics import WheelGeometry
 
 _CHANGED, _OTHERS = 0.06, 0.5

@@ -139,7 +139,7 @@ class ColumnMap(Table):
         """Keys of `[columns.units]` with which numbers as read now are multiplied by factors.
 
         Args:
-            factors: by quantity, as in `hil.datasets.wrong_units.UnitError`.
+            factors: factor of each quantity, as in `hil.datasets.wrong_units.UnitError`.
 
         Returns:
             The keys with their values; empty where one of the units is none that can be given.

@@ -12,8 +12,8 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.wheel_displacements import Complexes, Drive, by_truth, by_wheels, missed, rolling
 from hil.datasets.wheel_log import Recording
-from hil.datasets.wheel_ways import Complexes, Drive, by_truth, by_wheels, missed, rolling
 from hil.robot.kinematics import WheelGeometry
 
 _ODD, _AGREES = 0.3, 0.2

@@ -4,7 +4,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.unit_factors import RATES, Unit
+from hil.datasets.column_units import RATES, Unit
 from hil.datasets.wrong_units import UnitError
 
 _STRETCH_S = 0.5

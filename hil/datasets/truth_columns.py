@@ -11,7 +11,7 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.nominal_robot import Nominal, lever_m
-from hil.datasets.wheel_ways import Complexes, Drive, by_truth, by_wheels, missed, rolling
+from hil.datasets.wheel_displacements import Complexes, Drive, by_truth, by_wheels, missed, rolling
 from hil.robot.kinematics import WheelGeometry
 
 _WRONG, _AGREES = 0.6, 0.2

@@ -17,7 +17,7 @@ from hil.datasets.capture_files.poses import planar
 from hil.datasets.cleaning import Log, count
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.unpacking import read_packed
-from hil.datasets.wheel_ways import by_truth
+from hil.datasets.wheel_displacements import by_truth
 
 _GRID_S, _WINDOW_S = 0.02, 0.2
 _ALIKE, _ALONE, _APART_S = 0.95, 0.02, 0.5

@@ -18,17 +18,17 @@ from hil.core.geometry import Array
 from hil.datasets.bag_sensors import SensorLog
 from hil.datasets.cleaning import INTEGRATED, Log, count_gaps, recorded_rates
 from hil.datasets.clock_steps import in_words, split
+from hil.datasets.column_units import check_steering_unit, check_ways
 from hil.datasets.filled_rows import measured
-from hil.datasets.held_rows import without_held
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.rate_units import check_rates
+from hil.datasets.repeated_samples import without_held
 from hil.datasets.truth_columns import check_columns
 from hil.datasets.truth_jumps import WheelMotion
 from hil.datasets.unit_check import check_units, rolled_m
-from hil.datasets.unit_factors import check_steering_unit, check_ways
 from hil.datasets.usable_rows import Rows, usable, usable_wheels, without_frozen, without_jumps
+from hil.datasets.wheel_displacements import Drive
 from hil.datasets.wheel_turns import check_steering, whole_turns, without_turns
-from hil.datasets.wheel_ways import Drive
 from hil.datasets.wrong_units import all_at_once
 
 _MIN_SHARED = 2

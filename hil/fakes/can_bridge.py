@@ -17,8 +17,8 @@ from hil.fakes.emulated_can_group import DEFAULT_GROUP
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.server import Transport
 from hil.fakes.world import NEVER_NS
-from hil.support.can_multicast import HostMulticastBus
 from hil.support.emulated_can_mark import Mark, bus_name
+from hil.support.local_can_multicast import HostMulticastBus
 
 _ECHOES = 256
 

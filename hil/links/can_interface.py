@@ -93,7 +93,7 @@ def open_bus(
     options: dict[str, Any] = dict(config.options)
     try:
         if stays_on_host(config.interface, config.channel, options):
-            from hil.support.can_multicast import HostMulticastBus  # a daemon on SocketCAN needs none
+            from hil.support.local_can_multicast import HostMulticastBus  # a daemon on SocketCAN needs none
 
             return HostMulticastBus(config.channel, **options)
         bus = can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options)

@@ -43,7 +43,7 @@ class Keys(ABC):
         now_ns: time of the bench.
 
     Attributes:
-        ended: why there will be no more keys; empty before.
+        ended: reason why there will be no more keys; empty before.
         ready: called when the keys are asked for the first time, with whether some came before, which count
             for nothing.
         stuck: number of times a key was held for too long.

@@ -180,7 +180,7 @@ def idle_loop(
 
     Args:
         clock: the host's clock.
-        real_time: same scheduling as the loop to compare with; entered around this loop.
+        real_time: scheduling of the loop to compare with; entered around this loop.
         seconds: duration, s.
         rate_hz: cycles per second.
         late_after_s: delay beyond its deadline from which on the start of a cycle counts as late.

@@ -60,11 +60,12 @@ class Driven:
         result: result of `drive`; None after an error.
         error: error that ended the drive early.
         driven_s: duration on the bench's clock, s.
-        pressed: same as `pressed` of the bench.
+        pressed: sentence on what presses the robot on, `pressed` of the bench.
         held: final report of the bench on the hold of the robot.
         tethered: True if the robot was on a tether.
-        too_early: same as `faults_too_early()` of the bench.
-        times_ns, failed: same as `world_ns`, `looked_ns` and `first_cycle_ns`, and `lost`, of the bench.
+        too_early: faults that ended before the first cycle, `faults_too_early()` of the bench.
+        times_ns: `world_ns`, `looked_ns` and `first_cycle_ns` of the bench.
+        failed: messages about failed devices, `lost` of the bench.
         histories: values for what every report shows by itself.
         events: events that the bench has seen, as rows of `hil.core.event_rows`.
         lost: reason why the recording is missing or incomplete; empty if it is complete or was not wanted.

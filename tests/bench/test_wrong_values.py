@@ -9,8 +9,8 @@ import pytest
 
 import hil
 from hil.bench.doctor.examination import examine
+from hil.config.assumed_parameters import order, plus, turned
 from hil.config.loading import load_bench
-from hil.config.parameter import order, plus, turned
 from hil.core.errors import ConfigError, SafetyStop
 from hil.core.signals import WHEELS
 from hil.loop.checks.wrong_parameter import explained

@@ -6,8 +6,8 @@ import pytest
 
 from hil.bench.true_values import true_bench
 from hil.cli import main
+from hil.config.assumed_parameters import parameters_of
 from hil.config.loading import load_bench
-from hil.config.parameter import parameters_of
 from hil.fault_matrix.wrong_values.cases import BENCHES, cases_of, right, tables_of
 from hil.fault_matrix.wrong_values.judge import judge
 from hil.fault_matrix.wrong_values.observed import Observed, Told, Truth, without_mistake

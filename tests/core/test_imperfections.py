@@ -13,7 +13,7 @@ from hil.config.loading import load_bench
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.fakes.emulated_device import EmulationRequest
-from hil.fakes.emulation_request import invalid_values, ranges
+from hil.fakes.imperfection_bounds import invalid_values, ranges
 
 SIGNED = {"ambient_c"}
 NUMBERS = [

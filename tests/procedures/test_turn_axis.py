@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.config.parameter import turned
+from hil.config.assumed_parameters import turned
 from hil.core.geometry import multiplied
 from hil.procedures.bring_up import Parameters, steps
 from hil.procedures.bring_up.turn_axis import place_checks, turn_checks

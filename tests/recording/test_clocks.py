@@ -13,7 +13,7 @@ from recorded import HEADER, messages, recorded
 
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.errors import DataError
-from hil.recording.clocks import PtpOffset, ptp_offsets, shift_between
+from hil.recording.clock_offsets import PtpOffset, ptp_offsets, shift_between
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.transform_tree import describe_clock
 

@@ -7,8 +7,8 @@ from typing import Any
 from hil.bench.cross_checks.force import force_checks
 from hil.bench.cross_checks.gravity import gravity_checks
 from hil.bench.cross_checks.steering import steering_checks
+from hil.config.assumed_parameters import Parameter, parameters_of
 from hil.config.bench import BenchConfig
-from hil.config.parameter import Parameter, parameters_of
 from hil.config.robot_record import Confirmation
 from hil.config.robot_record.overlay import kept_confirmations
 from hil.config.robot_record.parts import part_of

@@ -25,7 +25,7 @@ from hil.core.interfaces import HELD_NOTE, Sink
 from hil.core.watched_robot import WatchedRobot
 from hil.faults.fault import Fault
 from hil.loop.device_set import DeviceSet
-from hil.recording.clocks import ptp_offsets
+from hil.recording.clock_offsets import ptp_offsets
 from hil.recording.transform_tree import describe_clock
 from hil.robot.trajectories import Trajectory
 

@@ -9,7 +9,7 @@ from hil.drivers.serial_and_can_models import CanModel
 class DaemonFan(CanModel):
     """A fan that the fan daemon commands; discovery skips it unless the model defines `search`."""
 
-    emulation = "hil.fakes.adhesion.emulation:emulated"
+    emulation = "hil.fakes.adhesion.connection:emulated"
     dbc: ClassVar[str] = ""
 
     def search(self, search: Search) -> Found | None:

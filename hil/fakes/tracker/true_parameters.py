@@ -10,7 +10,7 @@ from hil.config.field_types import Within
 class TrackerTruthOptions:
     """True imperfections of one camera; individual values are drawn once per seed.
 
-    A key without a range of its own has that of its suffix, such as `_m_s` (`hil.fakes.emulation_request`).
+    A key without a range of its own has that of its suffix, such as `_m_s` (`hil.fakes.imperfection_bounds`).
 
     Attributes:
         scale: distance that the visual odometry sees over the true one, mean over cameras.

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from hil.bench.true_values import OF_NO_DEVICE
+from hil.config.assumed_parameters import parameters_of
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.config.parameter import parameters_of
 from hil.core.errors import UsageError, did_you_mean
 
 WITHOUT_CELLS: Mapping[str, Any] = {"load_cells": None}

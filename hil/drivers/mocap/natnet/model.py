@@ -12,7 +12,7 @@ class NatNet(DeviceModel):
 
     kind, name, title = "mocap", "natnet", "OptiTrack Motive over NatNet"
     config, wire = MocapConfig, "udp"
-    emulation = "hil.fakes.mocap.natnet.emulation:emulated"
+    emulation = "hil.fakes.mocap.natnet.connection:emulated"
     driver, chip = "hil.drivers.mocap.natnet.driver:NatNetMocap", "hil.fakes.mocap.natnet.chip:NatNetServer"
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -13,7 +13,7 @@ class VescPropellers(CanModel):
     kind, name, title = "thrust", "vesc", "propellers on VESCs"
     config, subnet, printed = VescThrustConfig, 166, ("controller_ids",)
     driver, chip = "hil.drivers.thrust.vesc.driver:VescThrust", "hil.fakes.thrust.vesc.chip:PropellerNode"
-    emulation = "hil.fakes.thrust.vesc.emulation:emulated"
+    emulation = "hil.fakes.thrust.vesc.connection:emulated"
 
     def search(self, search: Search) -> Found | None:
         """Ping the controllers on the named CAN buses, or on the system's, except the fan's controller."""

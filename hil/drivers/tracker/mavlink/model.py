@@ -27,7 +27,7 @@ class Mavlink(DeviceModel):
     config, probe_order, framing = MavlinkTrackerConfig, 9, "mavlink"
     driver = "hil.drivers.tracker.mavlink.driver:MavlinkTracker"
     chip = "hil.fakes.tracker.mavlink.chip:VisualInertialComputer"
-    emulation = "hil.fakes.tracker.mavlink.emulation:emulated"
+    emulation = "hil.fakes.tracker.mavlink.connection:emulated"
 
     def wire_of(self, config: MavlinkTrackerConfig) -> str:
         """`udp` or `serial`, by the address."""

@@ -20,7 +20,7 @@ class T265(DeviceModel):
 
     kind, name, title = "tracker", "t265", "Intel RealSense T265 on USB"
     config, wire = T265Config, "poses"
-    emulation = "hil.fakes.tracker.t265.emulation:emulated"
+    emulation = "hil.fakes.tracker.t265.connection:emulated"
     driver, chip = "hil.drivers.tracker.t265.driver:T265Tracker", "hil.fakes.tracker.t265.chip:T265"
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -1,4 +1,4 @@
-"""Ways of each wheel in the body's frame: by its own angles, and by the ground truth at its place.
+"""Displacements of each wheel in the body's frame: by its own angles, and by the ground truth at its place.
 
 A way is complex: its real part ahead, its imaginary part to the left. With it one wheel can be compared with
 the ground truth without the other three.

@@ -11,9 +11,9 @@ from can.interfaces.udp_multicast.utils import pack_message
 from hil.config.encoders import EncodersConfig
 from hil.fakes.free_port import free_udp_port
 from hil.links.can_interface import open_bus
-from hil.support import can_multicast
-from hil.support.can_multicast import HostMulticastBus, is_of_this_host
+from hil.support import local_can_multicast
 from hil.support.emulated_can_mark import Mark, bus_name
+from hil.support.local_can_multicast import HostMulticastBus, is_of_this_host
 
 GROUP, STRANGER = "239.74.164.10", "127.0.0.2"
 FRAME = can.Message(arbitration_id=0x123, data=b"\x01\x02", is_extended_id=False)
@@ -59,9 +59,9 @@ def test_it_is_bound_to_the_group_and_takes_no_datagram_that_is_sent_to_the_host
 
 
 def test_frames_of_another_host_are_dropped_and_hide_none_of_this_one(bus, port, monkeypatch):
-    monkeypatch.setattr(can_multicast, "is_of_this_host", lambda sender: sender[0] != STRANGER)
+    monkeypatch.setattr(local_can_multicast, "is_of_this_host", lambda sender: sender[0] != STRANGER)
     theirs = pack_message(can.Message(arbitration_id=0x7FF, is_extended_id=False))
-    for _ in range(2 * can_multicast._MOST_STRANGERS):
+    for _ in range(2 * local_can_multicast._MOST_STRANGERS):
         send_from(STRANGER, (GROUP, port), theirs)
     bus.send(FRAME)
     assert bus.recv(0) is None, "one look has an end"

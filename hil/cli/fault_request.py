@@ -1,4 +1,4 @@
-"""What `hil faults` was asked for; the cells of real devices, and what runs them."""
+"""Request of `hil faults`: what it was asked for; the cells of real devices, and what runs them."""
 
 from __future__ import annotations
 

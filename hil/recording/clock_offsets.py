@@ -1,4 +1,4 @@
-"""Clocks of recordings: PTP hardware clocks beside the wall clock, and the offset between two recordings.
+"""Offsets of clocks: PTP hardware clocks from the wall clock, and the clocks of two recordings.
 
 Two computers that record one run agree as well as their clocks do. Where a network card keeps PTP time
 (`ptp4l`), that is better than an undisciplined wall clock.

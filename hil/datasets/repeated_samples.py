@@ -1,6 +1,6 @@
-"""Takes out wheel values that a logger repeated because it read the wheels more slowly than it wrote rows.
+"""Takes out repeated samples: wheel values that a logger wrote again without reading them.
 
-Between two reads such a log is a staircase: the wheels seem to stand, and then to leap. The value is that of
+It read the wheels more slowly than it wrote rows. Between two reads such a log is a staircase: the wheels seem to stand, and then to leap. The value is that of
 the first row of each step. Repeats are taken out for one period before the next value, and the columns are
 interpolated there; a wheel that stands for longer keeps its rows.
 """

@@ -1,4 +1,4 @@
-"""Parameters: keys of the bench file that scale a result or a safety figure, declared beside their table.
+"""Assumed parameters: keys of the bench file that scale a result or a safety figure, each beside its table.
 
 A table lists its parameters in `PARAMETERS`. Cross-checks (`hil.bench.cross_checks`) compare them with what
 the bench measures anyway; a parameter without one on a bench is unconfirmed, and says what would measure it.

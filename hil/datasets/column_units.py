@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.datasets.nominal_robot import Nominal
-from hil.datasets.wheel_ways import Drive, by_truth, by_wheels, missed, rolling
+from hil.datasets.wheel_displacements import Drive, by_truth, by_wheels, missed, rolling
 from hil.datasets.wrong_units import UnitError
 from hil.robot.kinematics import WheelGeometry
 
