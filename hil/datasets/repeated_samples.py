@@ -1,8 +1,9 @@
 """Takes out repeated samples: wheel values that a logger wrote again without reading them.
 
-It read the wheels more slowly than it wrote rows. Between two reads such a log is a staircase: the wheels seem to stand, and then to leap. The value is that of
-the first row of each step. Repeats are taken out for one period before the next value, and the columns are
-interpolated there; a wheel that stands for longer keeps its rows.
+It read the wheels more slowly than it wrote rows. Between two reads such a log is a staircase: the wheels
+seem to stand, and then to leap. The value is that of the first row of each step. Repeats are taken out for
+one period before the next value, and the columns are interpolated there; a wheel that stands for longer keeps
+its rows.
 """
 
 import numpy as np
