@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from hil.report.page_figures import drawn_image, figure_image, save_figure
-from hil.report.page_formats import environment
+from hil.report.page_formats import columns_of_words, environment
 from hil.support.atomic_files import staged, write_text
 
 if TYPE_CHECKING:
@@ -74,4 +74,5 @@ def write_overview_folder(folder: Path, page: Overview) -> Path:
 
 def _text(page: Overview, images: Sequence[Markup]) -> str:
     shown = [(d.title, image, d.caption) for d, image in zip(page.figures, images, strict=True)]
-    return environment().get_template("overview.html").render(page=page, images=shown)
+    words = [columns_of_words(table.rows) for table in page.tables]
+    return environment().get_template("overview.html").render(page=page, images=shown, words=words)

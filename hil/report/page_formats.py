@@ -3,7 +3,8 @@
 import base64
 import hashlib
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -71,6 +72,13 @@ def as_people_read(row: Mapping[str, Any]) -> dict[str, Any]:
     if any(v is not None and abs(v) >= below for v in own.values()):
         return {"unit": row["unit"], **own}
     return {"unit": unit, **{k: None if v is None else factor * v for k, v in own.items()}}
+
+
+def columns_of_words(rows: Sequence[Sequence[str]]) -> set[int]:
+    """Return the columns, from 1, whose cells are text rather than numbers."""
+    return {
+        k for row in rows for k, cell in enumerate(row, start=1) if len(re.findall(r"[^\W\d_]{3,}", cell)) > 1
+    }
 
 
 def duration(seconds: float | None) -> str:

@@ -5,8 +5,7 @@ section to repeat the run. It needs no network and supports dark and light theme
 """
 
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from hil.core.call_chain import in_words
 from hil.core.errors import DataError
 from hil.core.result_names import REPORT, RESULT
 from hil.report.page_figures import figure_image
-from hil.report.page_formats import digits_of, duration, environment, outcome_words
+from hil.report.page_formats import columns_of_words, digits_of, duration, environment, outcome_words
 from hil.report.result_reader import address, inside, own_file, read_result
 from hil.report.run_summary import grouped, sentence
 from hil.support.atomic_files import write_text
@@ -49,7 +48,7 @@ def write_run_page(folder: Path, out: Path | None = None) -> Path:
             reported=grouped([row for row in rows if row["tone"] == "reported"]),
             counts=counts(tree),
             figures=[f | {"image": _image(folder, f)} for f in tree["figures"]],
-            tables=[table | {"words": _columns_of_words(table["rows"])} for table in tree["tables"]],
+            tables=[table | {"words": columns_of_words(table["rows"])} for table in tree["tables"]],
             address=lambda path: address(folder, path),
             several=len({event["bench"] for event in tree["events"]}) > 1,
             parameters=_flat(tree["parameters"]),
@@ -107,13 +106,6 @@ def bar(row: Mapping[str, Any]) -> dict[str, float] | None:
     start = 0.0 if low is None else at(low)
     end = _BAR if high is None else at(high)
     return {"start": start, "width": round(end - start, 2), "value": at(value)}
-
-
-def _columns_of_words(rows: Sequence[Sequence[str]]) -> set[int]:
-    """Return the columns, from 1, whose cells are text rather than numbers."""
-    return {
-        k for row in rows for k, cell in enumerate(row, start=1) if len(re.findall(r"[^\W\d_]{3,}", cell)) > 1
-    }
 
 
 def _flat(tree: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -62,7 +62,8 @@ class WheelHistory(Sink):
             for k, name in enumerate(WHEELS):
                 values = rows[:, 1 + k] if place == 1 else np.degrees(rows[:, 5 + k])
                 axes.plot(rows[:, 0], values, color=SERIES[k], lw=1.3, label=name)
-            legend(axes, columns=4)
+            if place == 1:
+                legend(axes, columns=4, above=True)
         return figure
 
 
