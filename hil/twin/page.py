@@ -30,19 +30,14 @@ def write_twin_page(path: Path, title: str, found: Comparison) -> Path:
     """
     signals = [[s.group, number(s.auc), number(s.control), _ALIKE[s.alike]] for s in found.signals]
     figures = [
-        [
-            f.motion,
-            f"{f.name} ({f.unit})",
-            *(number(v) for v in (f.recorded, f.low, f.high)),
-            _place(f.inside),
-        ]
+        [f.motion, f.name, f.unit, *(number(v) for v in (f.recorded, f.low, f.high)), _place(f.inside)]
         for f in found.figures
     ]
     tables = [
         Table("Signals", ["group", "AUC", "control", ""], signals, _NOTE),
         Table(
             "End error of nominal odometry",
-            ["motion", "direction", "recorded", "least", "most", ""],
+            ["motion", "direction", "unit", "recorded", "least", "most", ""],
             figures,
             "The mean of the recorded runs, and the interval in which 90 % of emulated runs lie.",
         ),
@@ -85,6 +80,7 @@ def _drawn(found: Comparison) -> Figure:
         axes.plot(*zip(*known, strict=True), "o", ms=6, color=PALETTE[colour], label=label) if known else None
     axes.axhline(LIMIT, color=PALETTE["c5"], lw=1.0, ls="--")
     axes.set_xticks(range(len(found.signals)), [s.group for s in found.signals], fontsize=8)
+    axes.set_xlim(-0.5, len(found.signals) - 0.5)
     axes.set_ylim(0.3, 1.05)
     legend(axes, columns=2, above=True)
     return figure
