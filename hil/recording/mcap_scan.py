@@ -54,7 +54,7 @@ def _reader(stream: BinaryIO, size: int) -> Any:
     from mcap.opcode import Opcode
     from mcap.stream_reader import StreamReader
 
-    class Reader(StreamReader):
+    class Reader(StreamReader):  # type: ignore[misc]  # the library has no types
         def _read_record(self, opcode: int, length: int) -> Any:
             if opcode != Opcode.MESSAGE_INDEX:
                 return super()._read_record(opcode, length)

@@ -84,7 +84,8 @@ def write_session_page(folder: Path, report: Report = silent) -> Path:
     recording = Path(str(written["path"])) if isinstance(written, dict) else folder / LIVE_RECORDING
     recording = recording if recording.is_file() else folder / LIVE_RECORDING
     problems: list[str] = []
-    figures, seconds = [], 0.0
+    figures: list[Drawn] = []
+    seconds = 0.0
     if recording.is_file():
         cycles = int(written.get("written", 0)) if isinstance(written, dict) else 0
         figures, seconds = _figures(recording, problems, lambda done: _tell(report, done, cycles))
