@@ -62,7 +62,7 @@ def test_trajectories_are_those_of_the_table(recording, tmp_path):
     )
     files = json.loads(done.output)["files"]
     assert sorted(os.listdir(tmp_path)) == sorted(map(os.path.basename, files))
-    table = tabulate([driving_record(k) for k in range(CYCLES)])
+    table = wheel_table(driving_record(k) for k in range(CYCLES)).values
     for name, first in (("estimate", "estimate_x_m"), ("truth", "x")):
         rows = np.loadtxt(tmp_path / f"{name}.tum")
         np.testing.assert_allclose(rows[:, 0], column(table, "t"), atol=1e-9)
