@@ -16,8 +16,8 @@ from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.datasets.sampling import interpolate
 from hil.datasets.truth_moves import known_at
+from hil.datasets.wheel_displacements import Complexes, by_truth
 from hil.datasets.wheel_log import Recording
-from hil.datasets.wheel_ways import Complexes, by_truth
 
 _GRID_S, _MOVE, _PERIODS = 0.05, 4, 1.5
 """Grid, s; length of a move in its steps, and in periods of slow ground truth."""
