@@ -23,6 +23,7 @@ from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.drive_coverage import covered
 from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.mapped_recordings import read_mapped
+from hil.datasets.misplaced_columns import with_misplaced_columns
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag
@@ -257,6 +258,7 @@ def _read_foreign(
             return lambda: (to_run(one, on_wall=on_wall) for one in tables)
         parts = [covered(part, robot) for part in parts]
         parts = decoupled(parts, robot.geometry, coupling)
+        parts = with_misplaced_columns(parts)
         tables.extend(parts if on_wall else corrected(parts))  # sag on a wall looks like a turned body
         check_signs(tables, robot)
         return lambda: (to_run(one, on_wall=on_wall) for one in tables)

@@ -101,3 +101,15 @@ def test_of_a_heading_with_the_other_sign(tmp_path, capsys):
     for command in ("evaluate", "replay", "tune"):
         assert main([command, str(bag), "--topics", str(topics)]) == 2
         assert "the heading (theta) had the other sign" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "drives", [("w2", "w1", "w3", "w4"), ("w1", "w3", "w2", "w4"), ("w4", "w2", "w3", "w1")]
+)
+def test_drives_exchanged_in_the_mapping_are_refused_by_every_command(tmp_path, said, drives):
+    topics = tmp_path / "topics.toml"
+    named = ", ".join(f'"{name}"' for name in drives)
+    topics.write_text(MAPPING.replace('"w1", "w2", "w3", "w4"', named))
+    bag = perfect.write_bag(tmp_path / "curve_1", perfect.messages(perfect.drive()))
+    for command in ("evaluate", "calibrate", "replay"):
+        assert "phi" in json.dumps(said(command, bag, "--topics", topics, code=2))
