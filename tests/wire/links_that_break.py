@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import tty
+from itertools import islice
 from pathlib import Path
 
 import can
@@ -133,14 +134,18 @@ class Slcan:
         is_open = False
         with opened(self._endpoint) as bus:
             while not self._stop.is_set():
-                frame = bus.recv(0.01)
+                first = bus.recv(0.01)
                 if select.select([self._master], [], [], 0)[0]:
                     asked = os.read(self._master, 4096)
                     is_open = b"O\r" in asked or (is_open and b"C\r" not in asked)
-                if frame is not None and is_open and not frame.is_extended_id:
-                    line = f"t{frame.arbitration_id:03X}{frame.dlc}{frame.data.hex().upper()}\r"
-                    with contextlib.suppress(BlockingIOError):
-                        os.write(self._master, line.encode())
+                waiting = [] if first is None else [first, *islice(iter(lambda: bus.recv(0.0), None), 50)]
+                lines = [
+                    f"t{frame.arbitration_id:03X}{frame.dlc}{frame.data.hex().upper()}\r"
+                    for frame in waiting
+                    if is_open and not frame.is_extended_id
+                ]
+                with contextlib.suppress(BlockingIOError):
+                    os.write(self._master, "".join(lines).encode())
 
     def cut(self):
         os.write(self._master, b"t1A0")  # pulled out in the middle of a line

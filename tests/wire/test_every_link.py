@@ -39,7 +39,7 @@ DEVICES = {
     "load_cells": (LineCells, LineCellsConfig, PATIENT),
     "imu": (MicrostrainImu, MicrostrainConfig, {**PATIENT, "reply_timeout_s": 0.5}),
     "tracker": (MavlinkTracker, MavlinkTrackerConfig, PATIENT),
-    "can": (As5045Encoders, EncodersConfig, PATIENT),
+    "can": (As5045Encoders, EncodersConfig, {**PATIENT, "rate_hz": 50.0}),
     "servos": (
         DynamixelServos,
         ServosConfig,
@@ -70,6 +70,7 @@ port = "{folder}/tracker"
 baud = 921600
 [encoders]
 backend = "emulated"
+rate_hz = 50.0
 """
 OTHER = """[servos]
 backend = "emulated"
