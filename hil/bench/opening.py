@@ -157,7 +157,7 @@ def _real(
     """A bench in real time, with the faults of its real devices in front of their drivers."""
     clock, config = MonotonicClock(), model.config
     behind = {one.pid for port in served_here(config).values() for one in programs_behind(port)}
-    lost = LostTime(sorted(behind if emulator is None else behind | {emulator}))
+    lost = LostTime(clock, sorted(behind if emulator is None else behind | {emulator}))
     injection = Injection(config, clock, at_links(config, plan), model.seed, hand)
     devices = make_device_set(config, clock, connections, lost=lost, in_front=injection.in_front_of)
     return Bench(model, clock, devices, sinks=sinks, faults=plan, injection=injection)

@@ -7,40 +7,67 @@ import os
 import threading
 from collections.abc import Collection, Mapping
 
+from hil.core.clock import Clock
+
 LOOP, EMULATOR = "loop", "emulator"
 _NOTHING: Mapping[str, int] = {}
-_BYTES, _WAITED = 64, 1
+_BYTES, _WAITED = 128, 1
+_READY = b"R"
+_LASTS_NS = 2_000_000
+"""Time without a change of the counts from which on a thread that is ready waits."""
 
 
 class _Thread:
     """The time for which one thread has waited for a processor.
 
+    The kernel adds a wait to its count when the wait ends. A wait that lasts is seen, too: the thread is
+    ready to run, and none of its counts has changed since the last look.
+
     Args:
-        path: path of the kernel's count.
+        folder: folder of the thread in `/proc`.
+        clock: clock of the looks.
+        own: True for the calling thread, which runs whenever it looks.
     """
 
-    def __init__(self, path: str) -> None:
-        self._waited_ns = 0
+    def __init__(self, folder: str, clock: Clock, *, own: bool = False) -> None:
+        self._clock, self._own, self._counts = clock, own, b""
+        self._waited_ns = self._ahead_ns = self._looked_ns = 0
+        self._fds: list[int] = []
         try:
-            self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            for name in ("schedstat", "stat"):
+                self._fds.append(os.open(f"{folder}/{name}", os.O_RDONLY | os.O_CLOEXEC))
         except OSError:
-            self._fd = -1
+            self.close()
         self.since_ns()
 
     def since_ns(self) -> int:
         """Time since the last call; 0 for a thread that has ended."""
-        before_ns = self._waited_ns
-        if self._fd >= 0:
-            try:
-                self._waited_ns = int(os.pread(self._fd, _BYTES, 0).split()[_WAITED])
-            except (OSError, IndexError, ValueError):
-                self.close()
-        return self._waited_ns - before_ns
+        now_ns = self._clock.now_ns()
+        since_look_ns = now_ns - self._looked_ns
+        try:
+            counts = os.pread(self._fds[0], _BYTES, 0)
+            if counts == self._counts and (since_look_ns < _LASTS_NS or self._own):
+                return 0
+            self._looked_ns = now_ns
+            if counts == self._counts and self._is_ready():
+                self._ahead_ns += since_look_ns
+                return since_look_ns
+            waited_ns = int(counts.split()[_WAITED])
+        except (OSError, IndexError, ValueError):
+            self.close()
+            return 0
+        since_ns = waited_ns - self._waited_ns - self._ahead_ns
+        self._counts, self._waited_ns, self._ahead_ns = counts, waited_ns, max(0, -since_ns)
+        return max(0, since_ns)
+
+    def _is_ready(self) -> bool:
+        """Whether the thread is ready to run; its state follows its name in brackets."""
+        return os.pread(self._fds[1], _BYTES, 0).rpartition(b")")[2].split()[0] == _READY
 
     def close(self) -> None:
         """Stop counting. Idempotent."""
-        fd, self._fd = self._fd, -1
-        if fd >= 0:
+        fds, self._fds = self._fds, []
+        for fd in fds:
             os.close(fd)
 
 
@@ -48,11 +75,12 @@ class LostTime:
     """What a control loop lost, and the processes that emulate its devices.
 
     Args:
+        clock: clock of the loop, in real time.
         emulators: process ids of emulators, whose main threads serve the devices.
     """
 
-    def __init__(self, emulators: Collection[int] = ()) -> None:
-        self._emulators = emulators
+    def __init__(self, clock: Clock, emulators: Collection[int] = ()) -> None:
+        self._clock, self._emulators = clock, emulators
         self._threads: list[tuple[str, _Thread]] = []
         self._reader = -1
         self._taken: dict[str, int] = {}
@@ -81,9 +109,9 @@ class LostTime:
         if self._reader != (own := threading.get_ident()):
             self.close()
             self._reader = own
-            self._threads = [(LOOP, _Thread("/proc/thread-self/schedstat"))]
+            self._threads = [(LOOP, _Thread("/proc/thread-self", self._clock, own=True))]
             for pid in self._emulators:
-                self._threads.append((EMULATOR, _Thread(f"/proc/{pid}/task/{pid}/schedstat")))
+                self._threads.append((EMULATOR, _Thread(f"/proc/{pid}/task/{pid}", self._clock)))
         for name, thread in self._threads:
             if since_ns := thread.since_ns():
                 self._taken[name] = self._taken.get(name, 0) + since_ns

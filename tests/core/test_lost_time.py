@@ -14,7 +14,7 @@ from test_loop_and_server import Standing
 
 import hil
 from hil.bench.hold.hold_check import HoldCheckDeadline
-from hil.core.clock import Clock
+from hil.core.clock import Clock, MonotonicClock
 from hil.core.errors import DeviceTimeoutError, SafetyStop
 from hil.core.interfaces import Sensor
 from hil.core.signals import Inputs, MocapSample, RobotState, ServoSample, Stamp, Status, WheelSetpoint
@@ -57,7 +57,7 @@ def work(seconds):
 
 @pytest.mark.skipif(not COUNTED.exists(), reason="this kernel does not count it")
 def test_the_kernel_says_what_a_rival_has_taken_and_what_was_taken_from_it(rival):
-    lost = LostTime([rival])
+    lost = LostTime(MonotonicClock(), [rival])
     assert lost.take() == {}
     began_s = time.monotonic()
     work(0.2)
@@ -71,9 +71,24 @@ def test_the_kernel_says_what_a_rival_has_taken_and_what_was_taken_from_it(rival
     assert lost.take() == {}
 
 
+@pytest.mark.skipif(not COUNTED.exists(), reason="this kernel does not count it")
+def test_a_wait_that_lasts_is_counted_before_the_process_runs_again(rival):
+    """Of two processes on one core that yield to all others, one waits for the whole time of a busy third."""
+    os.sched_setscheduler(rival, os.SCHED_IDLE, os.sched_param(0))
+    lost = LostTime(MonotonicClock(), [rival])
+    lost.take()
+    seen_ns, began_ns = [], time.monotonic_ns()
+    while time.monotonic_ns() - began_ns < 0.3e9:
+        work(0.02)
+        seen_ns.append(lost.take().get(EMULATOR, 0))
+    lasted_ns = time.monotonic_ns() - began_ns
+    assert min(sorted(seen_ns)[len(seen_ns) // 5 :]) > 0.01e9
+    assert 0.7 * lasted_ns < sum(seen_ns) < 1.1 * lasted_ns
+
+
 def test_a_process_that_has_ended_loses_nothing():
     process = subprocess.Popen([sys.executable, "-c", ""])
-    lost = LostTime([process.pid])
+    lost = LostTime(MonotonicClock(), [process.pid])
     lost.take()
     process.wait()
     lost.take()
