@@ -97,7 +97,9 @@ def check(
         if by_hand and fault.kind in POWER:
             _check_hand(fault, present)
             continue
-        _check_kind(fault, wires.get(fault.device, ""))
+        holds = present == "wall" and fault.device in HOLDING
+        if not holds:
+            _check_kind(fault, wires.get(fault.device, ""))
         if present == "wall":
             _check_on_wall(fault)
     if present == "wall":

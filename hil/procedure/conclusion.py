@@ -60,10 +60,15 @@ def not_held(context: Context, known: Failure | None) -> list[Failure]:
 
 def without_effect(context: Context, known: Failure | None) -> list[Failure]:
     """Return the error for faults in front of real devices that hit no message, if the run has no other."""
-    specs = [str(row["fault"]) for row in context.benches.injected if was_missed(row)]
+    specs = _idle(context.benches)
     if known is not None or not specs:
         return []
     return [Failure("FaultWithoutEffect", nothing_hit(specs), "closing the bench", EXIT_USAGE)]
+
+
+def _idle(benches: RunBenches) -> list[str]:
+    """Return the faults in front of real devices that hit no message, as texts."""
+    return [str(row["fault"]) for row in benches.injected if was_missed(row)]
 
 
 def conclude(context: Context, error: Failure | None, late: list[Failure], facts: dict[str, Any]) -> Result:
@@ -113,6 +118,8 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
             f"The calibration {calibration['path']}, version {calibration['version']}, failed its validation "
             "run (verdict FAIL); failed_calibration in the bench file asks for its use."
         )
+    if error is not None and (idle := _idle(benches)):
+        reported.append(nothing_hit(idle))
     reported += [
         f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(benches.lost) if s != known
     ]

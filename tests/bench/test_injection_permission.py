@@ -48,6 +48,11 @@ def refused(
     return ""
 
 
+@pytest.mark.parametrize("spec", ["thrust:drop@3+1", "adhesion:drop@3+1", "thrust:off@3+1"])
+def test_on_a_wall_what_holds_the_robot_is_the_reason_whatever_its_wire(spec):
+    assert "which holds the robot" in refused(spec)
+
+
 @pytest.mark.parametrize(
     ("present", "most", "allowed"),
     [
