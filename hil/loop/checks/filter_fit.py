@@ -1,5 +1,6 @@
 """Reports sensors that the estimator has rejected for long, or whose innovations are too large on average.
 
+An estimate that fits neither camera nor wheels is wrong: the robot stops, as nothing corrects the estimate.
 Deterministic: depends only on the states since `reset`.
 """
 
@@ -16,17 +17,25 @@ sensors without a fault stay below 1.2 on both plants."""
 _READS, _REJECTED = 100, 1.0
 """Reads of the servos that are judged together, and rejected wheels per read at which a warning is given;
 healthy servos have 0.3 at most."""
+_NEITHER, _IN_A_ROW = 6.0, 20
+"""Mean NIS of the camera, and number of reads without a wheel that fits, from which on an estimate stops the
+robot; with three times the expected noise the NIS stays below 4 as long as the estimate is right."""
 
 
 class _WheelReads:
-    """Counts the wheels that the filter rejects, in each `_READS` reads of the servos."""
+    """Counts the wheels that the filter rejects, in each `_READS` reads of the servos.
+
+    Attributes:
+        often: True if the last reads were worth a warning.
+        in_a_row: number of reads up to now in which no wheel fits.
+    """
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Clear the counts."""
-        self._reads, self._before, self._rejected, self._reported = 0, 0.0, 0.0, False
+        self._reads, self._before, self._rejected, self.often, self.in_a_row = 0, 0.0, 0.0, False, 0
 
     def judge(self, reads: int, state: RobotState, events: list[Event]) -> None:
         """Report servos whose wheels are rejected often, once until they fit again.
@@ -37,19 +46,21 @@ class _WheelReads:
             events: list that receives findings.
         """
         rejected = state.diagnostics.get("rejected_wheels", 0.0)
-        self._rejected += max(rejected - self._before, 0.0)
-        self._before, self._reads = rejected, self._reads + reads
+        now, self._before = max(rejected - self._before, 0.0), rejected
+        if reads:
+            self.in_a_row = self.in_a_row + reads if now >= len(WHEELS) * reads else 0
+        self._rejected, self._reads = self._rejected + now, self._reads + reads
         if self._reads < _READS:
             return
-        often = self._rejected >= _REJECTED * self._reads
-        if often and not self._reported:
+        often, reported = self._rejected >= _REJECTED * self._reads, self.often
+        if often and not reported:
             share = 100.0 * self._rejected / (len(WHEELS) * self._reads)
             message = (
                 f"{share:.0f} % of the wheels' angles of the last {self._reads} reads do not fit the others: "
                 "their data are old or irregular, or the wheels slip"
             )
             events.append(Event(state.t_ns, "warning", "servos", message))
-        self._reads, self._rejected, self._reported = 0, 0.0, often
+        self._reads, self._rejected, self.often = 0, 0.0, often
 
 
 class _Refusals:
@@ -112,7 +123,17 @@ class FilterFit(Check):
         assert cycle.state is not None
         self._reads.judge(len(cycle.measurements.wheels), cycle.state, cycle.events)
         self.judge(cycle.state, cycle.events)
+        self._check_neither(cycle, cycle.state.diagnostics.get("nis_mean_tracker", 1.0))
         cycle.inflate_next(self.take_inflation())
+
+    def _check_neither(self, cycle: Cycle, misfit: float) -> None:
+        """Stop where neither the wheels nor the camera, with its mean NIS `misfit`, fit the estimate."""
+        if misfit > _NEITHER and (self._reads.often or self._reads.in_a_row >= _IN_A_ROW):
+            said = (
+                f"the estimate fits neither the camera (mean NIS {misfit:.1f}, expected 1) nor the wheels: "
+                "it cannot be right. Measure the noise of camera and IMU (`hil run sensor_noise`)"
+            )
+            cycle.stop("sensors_disagree", said, ("tracker", "servos", "imu"))
 
     def judge(self, state: RobotState, events: list[Event]) -> None:
         """Check one cycle's estimate; adds findings to `events`.
