@@ -14,10 +14,12 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.sampling import interpolate
 from hil.datasets.truth_moves import known_at
 from hil.datasets.wheel_displacements import Complexes, by_truth
 from hil.datasets.wheel_log import Recording
+from hil.datasets.wrong_signs import wrong_signs
 
 _GRID_S, _MOVE, _PERIODS = 0.05, 4, 1.5
 """Grid, s; length of a move in its steps, and in periods of slow ground truth."""
@@ -112,13 +114,21 @@ class Support:
         return self.count >= _FEWEST and self.slope < _AGAINST
 
 
-def with_misplaced_columns(recordings: Sequence[Recording]) -> list[Recording]:
+def with_misplaced_columns(recordings: Sequence[Recording], nominal: Nominal) -> list[Recording]:
     """The recordings; `contradictions` name columns that are late or of another wheel.
 
     A cause that explains two recordings, and twice as many as it would spoil, is one of the whole set.
-    Wheels of which both columns are exchanged are left to `hil.datasets.odd_wheels`.
+    Wheels of which both columns are exchanged are left to `hil.datasets.odd_wheels`, and what another sign
+    explains to `hil.datasets.wrong_signs`.
+
+    Args:
+        recordings: recordings to check.
+        nominal: robot that they are read for.
     """
     found = [_supports(one) if _comparable(one) else {} for one in recordings]
+    if any(map(_best, found)):
+        signed = _of_another_sign(recordings, nominal)
+        found = [{} if one in signed else own for one, own in enumerate(found)]
     best = [_best(own) for own in found]
     likely = [one.change.cause for one in best if one is not None and one.change.cause]
     common = max(set(likely), key=lambda cause: (likely.count(cause), cause), default="")
@@ -135,6 +145,13 @@ def with_misplaced_columns(recordings: Sequence[Recording]) -> list[Recording]:
 
 def _comparable(one: Recording) -> bool:
     return one.has_truth and not one.of_twist and not one.contradictions
+
+
+def _of_another_sign(recordings: Sequence[Recording], nominal: Nominal) -> set[int]:
+    """Places of the recordings that a change of a sign, or of the order of whole wheels, explains."""
+    places = [k for k, one in enumerate(recordings) if _comparable(one)]
+    explained = wrong_signs([recordings[k] for k in places], nominal).explained.values()
+    return {k for i, k in enumerate(places) if any(mask[i] for mask in explained)}
 
 
 def _contradicted(one: Recording, support: Support) -> Recording:

@@ -153,7 +153,7 @@ def read_recordings(
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(named_apart(without_copies(out)), robot.geometry, coupling)
-    out = corrected(with_misplaced_columns(out))
+    out = corrected(with_misplaced_columns(out, robot))
     check_signs(out, robot, of_all=unusable is not None)
     return with_changed_wheels(out, robot.geometry)
 

@@ -20,6 +20,8 @@ from hil.datasets.truth_moves import GRID_S, WINDOW_S, Drive, known_at
 from hil.datasets.wheel_log import Recording
 
 _ALIKE, _MOST_FAST = 0.9, 0.06
+_PAUSE_S = 30.0
+"""Time without a wheel row up to which it is a pause, and beyond which the clock has leapt."""
 _ROUNDS, _UNEXPLAINED, _OVERLAP, _STDS = 6, 0.2, 3.0, 5.0
 _LEAST, _REPLACED = 1e-12, 1e4
 _USUAL, _CENTRE_M, _POINT = 2.0, 0.1, 5
@@ -207,21 +209,27 @@ def _errors(rows: Array, left: Array, overlap: float) -> Array:
 def _clock(recording: Recording, by_wheels: Array) -> tuple[float, float] | None:
     """Delay, s, and stretch of the ground truth by the cross-correlation of speeds; None where these differ.
 
-    Stretches are tried in steps of a fifth of a second over the whole recording.
+    Stretches are tried in steps of a fifth of a second over the whole recording. Where the clock of a
+    recording leaps, the time of the leap is left out, and no stretch is tried.
     """
-    at_s, pose = recording.truth_t_s, recording.truth_pose
+    steps_s = np.diff(recording.t_s)
+    pauses = steps_s > _PAUSE_S
+    left_out_s = np.concatenate(([0.0], np.cumsum(np.where(pauses, steps_s - _PAUSE_S, 0.0))))
+    t_s = recording.t_s - left_out_s
+    at_s = recording.truth_t_s - np.interp(recording.truth_t_s, recording.t_s, left_out_s)
+    pose, most_fast = recording.truth_pose, 0.0 if pauses.any() else _MOST_FAST
     grid_s = np.arange(at_s[0], at_s[-1], GRID_S)
     n = round(WINDOW_S / GRID_S)
     lever, known = lever_m(recording.nominal.geometry), known_at(grid_s, at_s)
     truth, wheels = (
         _lengths(interpolate(grid_s, *rows), n, lever) * (known[n:] & known[:-n])
-        for rows in ((at_s, pose), (recording.t_s, by_wheels))
+        for rows in ((at_s, pose), (t_s, by_wheels))
     )
     count, since_s = 2 * len(truth), grid_s[n:] - grid_s[n:].mean()
     by_frequency = np.fft.rfft(wheels[::-1], count) / max(float(np.linalg.norm(wheels)), _LEAST)
     step = WINDOW_S / float(at_s[-1] - at_s[0])
     alike, late_s, fast = 0.0, 0.0, 0.0
-    for stretch in np.arange(-round(_MOST_FAST / step), round(_MOST_FAST / step) + 1) * step:
+    for stretch in np.arange(-round(most_fast / step), round(most_fast / step) + 1) * step:
         other = np.interp(since_s * (1.0 + stretch), since_s, truth)
         other /= max(float(np.linalg.norm(other)), _LEAST)
         overlap = np.fft.irfft(np.fft.rfft(other, count) * by_frequency, count)[:-1]

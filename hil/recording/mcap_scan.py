@@ -30,7 +30,8 @@ def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
         must_be_file(path)
         with path.open("rb") as stream:
             size = max(1, path.stat().st_size)
-            records, at = _reader(stream, size).records, 0
+            reader, at = _reader(stream, size), 0
+            records = reader.records
             while True:
                 try:
                     record = next(records)
@@ -43,19 +44,25 @@ def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
                         _must_be_mcap(path, stream.tell(), error)
                     problems.append(_damage(at, stream.tell(), error))
                     return
-                yield at, record
+                yield max(at, reader.begin), record
                 at = stream.tell()
     except OSError as error:
         raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
 
 
 def _reader(stream: BinaryIO, size: int) -> Any:
-    """Reader of the records of a stream that passes over indexes of messages: nobody here asks for them."""
+    """Reader of the records of a stream that passes over indexes of messages: nobody here asks for them.
+
+    Its `begin` is the byte at which the latest record begins.
+    """
     from mcap.opcode import Opcode
     from mcap.stream_reader import StreamReader
 
     class Reader(StreamReader):  # type: ignore[misc]  # the library has no types
+        begin = 0
+
         def _read_record(self, opcode: int, length: int) -> Any:
+            self.begin = stream.tell() - _HEAD.size
             if opcode != Opcode.MESSAGE_INDEX:
                 return super()._read_record(opcode, length)
             self._stream.read(length)

@@ -258,7 +258,7 @@ def _read_foreign(
             return lambda: (to_run(one, on_wall=on_wall) for one in tables)
         parts = [covered(part, robot) for part in parts]
         parts = decoupled(parts, robot.geometry, coupling)
-        parts = with_misplaced_columns(parts)
+        parts = with_misplaced_columns(parts, robot)
         tables.extend(parts if on_wall else corrected(parts))  # sag on a wall looks like a turned body
         check_signs(tables, robot)
         return lambda: (to_run(one, on_wall=on_wall) for one in tables)

@@ -111,7 +111,7 @@ def test_an_imu_of_another_world_or_without_servos_says_nothing_of_the_robot(mon
     ("profile", "degrees", "state"),
     [
         ("emulated", 60.0, "contradicted"),
-        ("emulated", 80.0, "confirmed"),
+        ("emulated", 80.0, "unconfirmed"),
         ("emulated", 130.0, "contradicted"),
         ("emulated_floor", 30.0, "contradicted"),
     ],

@@ -8,6 +8,7 @@ import pytest
 from hil.cli import main
 from hil.datasets.cleaning import Log
 from hil.datasets.misplaced_columns import with_misplaced_columns
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import read_plain, write_plain
 from hil.datasets.wheel_log import build_recording
 from tests.calibration.spoilt_sets import CORNERS, RADIUS_M, make_drives
@@ -84,26 +85,27 @@ ALL = range(4)
 )
 def test_a_column_that_is_late_or_exchanged_is_named_in_all_recordings(healthy, spoil, named):
     """Also in the straight lines, which do not show it."""
-    found = with_misplaced_columns([spoil(one) for one in healthy])
+    found = with_misplaced_columns([spoil(one) for one in healthy], Nominal())
     assert all(named in one.contradictions[0] for one in found)
 
 
 def test_a_fault_of_one_recording_is_named_there_alone(healthy):
-    found = with_misplaced_columns([late(healthy[0], delta=[BL]), *healthy[1:]])
+    found = with_misplaced_columns([late(healthy[0], delta=[BL]), *healthy[1:]], Nominal())
     assert [one.name for one in found if one.contradictions] == [healthy[0].name]
 
 
 @pytest.mark.parametrize("spoil", [lambda one: one, lambda one: late(one, truth=range(3))])
 def test_good_columns_and_late_ground_truth_are_left_alone(healthy, spoil):
     """Stamps of the whole ground truth are corrected elsewhere."""
-    assert not any(one.contradictions for one in with_misplaced_columns([spoil(one) for one in healthy]))
+    found = with_misplaced_columns([spoil(one) for one in healthy], Nominal())
+    assert not any(one.contradictions for one in found)
 
 
 @pytest.mark.parametrize("seed", [704, 711])
 def test_tolerances_and_slip_are_no_misplaced_columns(tmp_path, seed):
     """Sets of dry friction, creep and lost ways, of which slip and zeros came nearest to such a cause."""
     drives = [read_plain(one.write(tmp_path)) for one in make_drives(seed)]
-    assert not any(one.contradictions for one in with_misplaced_columns(drives))
+    assert not any(one.contradictions for one in with_misplaced_columns(drives, Nominal()))
 
 
 @pytest.mark.parametrize("spoil", [lambda one: late(one, delta=[BL]), lambda one: ordered(one, (1, 0, 2, 3))])
