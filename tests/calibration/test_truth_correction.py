@@ -60,6 +60,22 @@ def off_centre(one, ahead_m, left_m):
     return replace(one, truth_pose=pose)
 
 
+def leaping(one, by_s):
+    """The clock of wheels and truth leaps in the middle."""
+    middle_s = one.t_s[len(one.t_s) // 2]
+    return replace(
+        one,
+        t_s=one.t_s + by_s * (one.t_s >= middle_s),
+        truth_t_s=one.truth_t_s + by_s * (one.truth_t_s >= middle_s),
+    )
+
+
+@pytest.mark.timeout(60)
+def test_a_clock_that_leaps_by_days_is_compared_but_for_the_leap(data):
+    one = late(leaping(data[0], 300_000.0), 0.2)
+    assert truth_fit(one).late_s == pytest.approx(0.2, abs=0.02)
+
+
 @pytest.mark.parametrize("by_s", [-0.6, -0.2, 0.06, 0.2])
 def test_a_delay_is_measured_to_hundredths_of_a_second(data, by_s):
     found = [truth_fit(late(one, by_s)) for one in data]
