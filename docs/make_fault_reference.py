@@ -45,7 +45,7 @@ imu:stuck@2+3                        from second 2 to second 5
 servo.drive_FL:off@5                 from second 5 to the end
 tracker:wrong@1,scale=0.8            a camera that sees every step a fifth too short
 servos:drop@0+10,probability=0.2     every fifth reply is lost, for ten seconds
-servos:silent@3+0.5,direction=both   half a second without any message, also towards the servos
+servos:silent@3+0.5,direction=both   half a second without any message, also towards emulated servos
 ```
 
 `hil run`, `hil live` and `hil emulate` take a fault as `--fault` (repeatable). In the bench file it is
