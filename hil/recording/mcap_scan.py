@@ -103,18 +103,26 @@ def topic_of(channel: Any, schemas: Mapping[int, Any]) -> BagTopic:
 
 def described_in(chunk: Any) -> Iterator[Any]:
     """Schemas and channels in a chunk, whose checksum must be right; its messages are passed over."""
+    from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
     from mcap.records import Channel, Schema
+
+    readers = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read}
+    for opcode, content in _records_in(chunk):
+        if (read := readers.get(opcode)) is not None:
+            yield read(ReadDataStream(BytesIO(content)))
+
+
+def _records_in(chunk: Any) -> Iterator[tuple[int, memoryview]]:
+    """Opcode and content of every record in a chunk, whose checksum must be right."""
     from mcap.stream_reader import get_chunk_data_stream
 
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    readers = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read}
-    while stream.count < length:
-        read, size = readers.get(stream.read1()), stream.read8()
-        if read is not None:
-            yield read(stream)
-        else:
-            stream.read(size)
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    data, at = memoryview(stream.read(size)), 0
+    while at < size:
+        opcode, length = _HEAD.unpack_from(data, at)
+        begin, at = at + _HEAD.size, at + _HEAD.size + length
+        yield opcode, data[begin:at]
 
 
 def messages_of(path: Path, wanted: Callable[[Any], bool], problems: list[str]) -> Iterator[tuple[Any, Any]]:
@@ -185,17 +193,12 @@ def _parts_of(chunk: Any, takes: Callable[[int], bool]) -> Iterator[Any]:
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
     from mcap.records import Channel, Message
-    from mcap.stream_reader import get_chunk_data_stream
 
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    data, at = stream.read(size), 0
-    while at < size:
-        opcode, length = _HEAD.unpack_from(data, at)
-        begin, at = at + _HEAD.size, at + _HEAD.size + length
+    for opcode, content in _records_in(chunk):
         if opcode == Opcode.CHANNEL:
-            yield Channel.read(ReadDataStream(BytesIO(data[begin:at])))
-        elif opcode == Opcode.MESSAGE and takes(_NUMBER.unpack_from(data, begin)[0]):
-            yield Message.read(ReadDataStream(BytesIO(data[begin:at])), length)
+            yield Channel.read(ReadDataStream(BytesIO(content)))
+        elif opcode == Opcode.MESSAGE and takes(_NUMBER.unpack_from(content)[0]):
+            yield Message.read(ReadDataStream(BytesIO(content)), len(content))
 
 
 def _in_order(path: Path) -> bool:
