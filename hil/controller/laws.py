@@ -19,6 +19,8 @@ _NINE = Struct("9d")
 """Packs numbers into an existing array in a third of the time of making a new one."""
 _STEADY_S = 5.0
 """Extra horizon after the end of the path, so that the gains are steady at its end."""
+_STILL = 1e-13
+"""Relative change of the cost in one step below which it stands still; it rounds to that."""
 
 
 def pose_error(state: RobotState, reference: Reference) -> Three:
@@ -110,21 +112,27 @@ def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Arr
 def riccati_gains(models: list[tuple[Array, Array]], state_cost: Array, input_cost: Array) -> list[Array]:
     """Finite-horizon time-varying LQR gains K_k (3, k), u = -K_k z, by the backward recursion from S_N = Q.
 
-    K_k = (R + B'S B)^-1 B'S A; S <- Q + A'S (A - B K_k).
+    K_k = (R + B'S B)^-1 B'S A; S <- Q + A'S (A - B K_k). Where one model lasts until S stands still, one
+    matrix is the gain of all earlier steps with it.
 
     Args:
-        models: A (k, k) and B (k, 3) of each step.
+        models: A (k, k) and B (k, 3) of each step; alike steps have the same arrays.
         state_cost: Q, (k, k).
         input_cost: R, (3, 3).
     """
     s = state_cost.copy()
     gains: list[Array] = []
+    lasting: Array | None = None
     for a, b in reversed(models):
-        bs = b.T @ s
+        if a is lasting:
+            gains.append(gains[-1])
+            continue
+        bs, before = b.T @ s, s
         gain = np.linalg.solve(input_cost + bs @ b, bs @ a)
         s = state_cost + a.T @ s @ (a - b @ gain)
         s = 0.5 * (s + s.T)
         gains.append(np.asarray(gain, dtype=np.float64))
+        lasting = a if np.abs(s - before).max() <= _STILL * np.abs(s).max() else None
     return gains[::-1]
 
 
@@ -143,14 +151,15 @@ def gains_along(
         weights: (state, integral, input) diagonal weights; integral 0 switches it off.
     """
     q, q_i, r = weights
-    models = [lag_model(omega, dt_s, lag_s) for omega in omegas_rad_s]
+    known = {omega: lag_model(omega, dt_s, lag_s) for omega in dict.fromkeys(omegas_rad_s)}
     if q_i == 0.0:
-        models = [_without_integral(m) for m in models]
+        known = {omega: _without_integral(model) for omega, model in known.items()}
     state_cost = np.diag([q] * 3 + [q_i] * 3 + [0.0] * 3)
-    gains = tuple(-gain for gain in riccati_gains(models, state_cost, r * np.eye(3)))
-    for gain in gains:
-        gain.flags.writeable = False
-    return gains
+    gains = riccati_gains([known[omega] for omega in omegas_rad_s], state_cost, r * np.eye(3))
+    feedback = {id(gain): -gain for gain in gains}
+    for matrix in feedback.values():
+        matrix.flags.writeable = False
+    return tuple(feedback[id(gain)] for gain in gains)
 
 
 class OptimalLaw(Law):

@@ -121,6 +121,17 @@ def test_lag_model_and_gains_against_scipy():
     assert np.max(np.abs(np.linalg.eigvals(a - b @ steady))) < 1.0
 
 
+def test_gains_of_a_long_path_are_those_of_every_step_computed():
+    """Straight for a minute, a turn, straight again: copies of the models look like others in every step."""
+    straight, turn = lag_model(0.0, DT, 0.1), lag_model(0.2, DT, 0.1)
+    models = [straight] * 6000 + [turn] * 300 + [straight] * 6000
+    q, r = np.diag([25.0] * 3 + [20.0] * 3 + [0.0] * 3), np.eye(3)
+    found = riccati_gains(models, q, r)
+    computed = riccati_gains([(a.copy(), b.copy()) for a, b in models], q, r)
+    np.testing.assert_allclose(found, computed, rtol=0.0, atol=1e-9)
+    assert len({id(gain) for gain in found}) < 0.7 * len({id(gain) for gain in computed})
+
+
 def test_module_oracles_of_wpimath():
     limits = ModuleLimits(steering_rad=3.0, flip_hysteresis_rad=0.0)
     speed, angle = optimize(1.0, 2.5, 0.0, limits)
