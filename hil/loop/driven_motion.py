@@ -59,22 +59,22 @@ class Motion:
     @property
     def reference(self) -> Array:
         """Reference poses in the wall frame, shape (n, 3); NaN while only observing."""
-        return self.columns.reference
+        return self.columns.rows["reference"]
 
     @property
     def estimate(self) -> Array:
         """Estimated poses of the body in the wall frame, shape (n, 3)."""
-        return self.columns.estimate
+        return self.columns.rows["estimate"]
 
     @property
     def twist(self) -> Array:
         """Estimated body twist, shape (n, 3)."""
-        return self.columns.twist
+        return self.columns.rows["twist"]
 
     @property
     def covariance(self) -> Array:
         """Covariance of pose and twist, shape (n, 6, 6)."""
-        rows, (up, across) = self.columns.covariance, UPPER
+        rows, (up, across) = self.columns.rows["covariance"], UPPER
         full = np.empty((len(rows), 6, 6))
         full[:, up, across] = full[:, across, up] = rows
         return full
@@ -121,7 +121,7 @@ class Motion:
     @property
     def wheels(self) -> Array:
         """Aligned wheel angles then steering angles, shape (n, 8), rad; NaN where not read."""
-        return self.columns.wheels
+        return self.columns.rows["wheels"]
 
     @property
     def events(self) -> tuple[Event, ...]:

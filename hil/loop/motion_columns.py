@@ -18,11 +18,10 @@ class MotionColumns:
 
     Attributes:
         t_ns: (n,) time of each cycle's inputs, ns.
-        reference: (n, 3) poses of the reference; NaN while only observing.
-        estimate: (n, 3) estimated poses.
-        twist: (n, 3) estimated body twists, m/s and rad/s.
-        covariance: (n, 21) upper triangles of the covariances (6, 6) of pose and twist.
-        wheels: (n, 8) aligned wheel angles, then steering angles, rad; NaN where they were not read.
+        rows: columns by name. `reference`: (n, 3) poses of the reference, NaN while only observing.
+            `estimate`: (n, 3) estimated poses. `twist`: (n, 3) estimated body twists, m/s and rad/s.
+            `covariance`: (n, 21) upper triangles of the covariances (6, 6) of pose and twist. `wheels`:
+            (n, 8) aligned wheel angles, then steering angles, rad; NaN where they were not read.
         mocap_ns: (m,) stamps of the usable samples of motion capture, ns, in order of arrival.
         mocap: (m, 3) poses of these samples.
         diagnostics: (n,) values by name; NaN where a cycle has none.
@@ -31,11 +30,7 @@ class MotionColumns:
     """
 
     t_ns: Array
-    reference: Array
-    estimate: Array
-    twist: Array
-    covariance: Array
-    wheels: Array
+    rows: Mapping[str, Array]
     mocap_ns: Array
     mocap: Array
     diagnostics: Mapping[str, Array]
@@ -57,11 +52,15 @@ class MotionColumns:
         covariances = np.array([state.covariance for state in states]).reshape(-1, 6, 6)
         return cls(
             np.array([r.inputs.t_ns for r in records], dtype=np.int64),
-            _rows([r.reference.pose_in_wall if r.reference else None for r in records], 3),
-            _rows([state.pose_body_in_wall for state in states], 3),
-            _rows([state.twist_body for state in states], 3),
-            covariances[:, UPPER[0], UPPER[1]],
-            _rows([None if w is None else np.r_[w.wheel_angle_rad, w.steering_rad] for w in wheels], 8),
+            {
+                "reference": _rows([r.reference.pose_in_wall if r.reference else None for r in records], 3),
+                "estimate": _rows([state.pose_body_in_wall for state in states], 3),
+                "twist": _rows([state.twist_body for state in states], 3),
+                "covariance": covariances[:, UPPER[0], UPPER[1]],
+                "wheels": _rows(
+                    [None if w is None else np.r_[w.wheel_angle_rad, w.steering_rad] for w in wheels], 8
+                ),
+            },
             np.array([m.stamp.t_ns for m in poses], dtype=np.int64),
             _rows([m.pose for m in poses], 3),
             {
@@ -78,16 +77,10 @@ class MotionColumns:
         parts = tuple(parts) or (cls.of(()),)
         columns: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
-            for name in (
-                "t_ns",
-                "reference",
-                "estimate",
-                "twist",
-                "covariance",
-                "wheels",
-                "mocap_ns",
-                "mocap",
-            )
+            for name in ("t_ns", "mocap_ns", "mocap")
+        }
+        columns["rows"] = {
+            name: np.concatenate([part.rows[name] for part in parts]) for name in parts[0].rows
         }
         columns["diagnostics"] = _joined([part.diagnostics for part in parts], [(len(p),) for p in parts])
         columns["observers"] = _joined([part.observers for part in parts], [(len(p), 3) for p in parts])

@@ -16,8 +16,8 @@ from hil.core.errors import HilError
 from hil.core.signals import CycleRecord
 from hil.loop.driven_motion import Motion
 from hil.loop.motion_columns import MotionColumns
+from hil.recording.columns_on_disk import ColumnsOnDisk, Stretch
 from hil.recording.cycle_codec import CycleCodec
-from hil.recording.diagnostics_on_disk import DiagnosticsOnDisk, Stretch
 
 _LOG = logging.getLogger(__name__)
 _BLOCK, _KEPT_BLOCKS = 250, 8
@@ -42,6 +42,7 @@ class CycleLog(Sequence[CycleRecord]):
         self._codec: CycleCodec | None = None
         self._blocks: list[Block] = [[]]
         self._columns: list[MotionColumns] = []
+        self._rows: list[Stretch] = []
         self._diagnostics: list[Stretch] = []
         self._length, self._stuck = 0, False
         self._file: Any = None
@@ -62,16 +63,21 @@ class CycleLog(Sequence[CycleRecord]):
         """The whole drive; the log takes no more records then."""
         for number in range(len(self._columns), len(self._blocks)):
             self._keep(MotionColumns.of(self._block(number)))
-        diagnostics = DiagnosticsOnDisk(self._diagnostics, self._file, self)
-        columns = replace(MotionColumns.joined(self._columns), diagnostics=diagnostics)
-        self._columns.clear()
-        self._diagnostics.clear()
+        rows, diagnostics = (
+            ColumnsOnDisk(stretches, self._file, self) for stretches in (self._rows, self._diagnostics)
+        )
+        columns = replace(MotionColumns.joined(self._columns), rows=rows, diagnostics=diagnostics)
+        for kept in (self._columns, self._rows, self._diagnostics):
+            kept.clear()
         return Motion(self, columns)
 
-    def _keep(self, columns: MotionColumns, written: Stretch | None = None) -> None:
-        """Keep the numbers of the next block, its diagnostics where they were written."""
-        self._diagnostics.append(written or Stretch(len(columns), columns.diagnostics))
-        self._columns.append(replace(columns, diagnostics={}))
+    def _keep(self, columns: MotionColumns, written: tuple[Stretch, Stretch] | None = None) -> None:
+        """Keep the numbers of the next block, or where they were written."""
+        if written is None:
+            written = Stretch(len(columns), columns.rows), Stretch(len(columns), columns.diagnostics)
+        self._rows.append(written[0])
+        self._diagnostics.append(written[1])
+        self._columns.append(replace(columns, rows={}, diagnostics={}))
 
     def _spill(self, number: int) -> None:
         """Write a block to the disk, and keep its numbers."""
@@ -87,7 +93,8 @@ class CycleLog(Sequence[CycleRecord]):
                 weakref.finalize(self, self._file.close)
             at = self._file.seek(0, os.SEEK_END)
             self._file.write(packed)
-            written = Stretch.written(self._file, columns.diagnostics, len(columns))
+            rows = Stretch.written(self._file, columns.rows, len(columns))
+            written = rows, Stretch.written(self._file, columns.diagnostics, len(columns))
             self._blocks[number] = (at, len(packed))
         except (TypeError, ValueError, OverflowError, OSError, HilError) as error:
             if not self._stuck:

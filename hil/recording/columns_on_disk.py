@@ -1,7 +1,8 @@
-"""Diagnostics of a long drive: those of older cycles are in a file, and read back by name when asked for."""
+"""Numbers of a long drive: those of older cycles are in a file, and read back by name when asked for."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,39 +13,43 @@ from hil.core.geometry import Array
 
 
 class Stretch(NamedTuple):
-    """Diagnostics of successive cycles.
+    """Columns of successive cycles.
 
     Attributes:
         cycles: number of cycles.
-        values: (cycles,) values by name in memory; empty for a stretch on the disk.
-        names: names in the file, whose values follow each other there.
+        values: (cycles, ...) columns by name in memory; empty for a stretch on the disk.
+        names: names in the file, whose columns follow each other there.
+        shapes: shapes of one row of these columns.
         at: byte of the file at which they begin.
     """
 
     cycles: int
     values: Mapping[str, Array]
     names: tuple[str, ...] = ()
+    shapes: tuple[tuple[int, ...], ...] = ()
     at: int = 0
 
     @classmethod
     def written(cls, file: Any, values: Mapping[str, Array], cycles: int) -> Stretch:
-        """Write values to the end of a file; raises `OSError`."""
+        """Write columns of floats to the end of a file; raises `OSError`."""
         at = file.seek(0, os.SEEK_END)
         file.write(b"".join(column.tobytes() for column in values.values()))
         file.flush()
-        return cls(cycles, {}, tuple(values), at)
+        return cls(cycles, {}, tuple(values), tuple(column.shape[1:] for column in values.values()), at)
 
     def read(self, name: str, file: Any) -> Array:
-        """Values of a name; NaN where this stretch has none."""
+        """Column of a name; NaN where this stretch has none."""
         if name in self.names:
-            size = 8 * self.cycles
-            file.seek(self.at + size * self.names.index(name))
-            return np.frombuffer(file.read(size), dtype=np.float64)
+            number = self.names.index(name)
+            sizes = [8 * self.cycles * math.prod(shape) for shape in self.shapes[: number + 1]]
+            file.seek(self.at + sum(sizes[:-1]))
+            shape = (self.cycles, *self.shapes[number])
+            return np.frombuffer(file.read(sizes[-1]), dtype=np.float64).reshape(shape)
         return self.values[name] if name in self.values else np.full(self.cycles, np.nan)
 
 
-class DiagnosticsOnDisk(Mapping[str, Array]):
-    """Diagnostics of all cycles, (n,) by name.
+class ColumnsOnDisk(Mapping[str, Array]):
+    """Columns of all cycles, (n, ...) by name.
 
     Args:
         stretches: the parts, in order.
