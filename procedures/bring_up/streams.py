@@ -7,10 +7,13 @@ import numpy as np
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array
 from hil.core.registry import kinds
+from hil.core.signals import Status, worst
 from hil.loop.driven_motion import Motion
 from hil.procedure.sample_arrays import Series, arrivals, camera, encoders, inertial, poses, wheels
 
 _BLOCKS = 24
+_RUN = 20
+"""Samples over which a period is taken: bunches even out."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +52,24 @@ def series_of(device: str, motion: Motion, config: BenchConfig) -> Series:
     return poses(motion, device) if device == "mocap" else arrivals(motion, device)
 
 
-def due(device: str, series: Series, duration_s: float, config: BenchConfig) -> float:
-    """Return the number of due samples; from their median period if the device's rate is set by the user."""
+def due(device: str, motion: Motion, duration_s: float, config: BenchConfig) -> float:
+    """Return the number of due samples; from their own period if the device's rate is set by the user."""
     rate_hz = kinds()[device].rate_hz(config.devices()[device], config.loop.rate_hz)
-    if not np.isnan(rate_hz):
-        return duration_s * rate_hz
-    period_s = float(np.median(np.diff(series.t_s))) if len(series) > 2 else duration_s
-    return duration_s / period_s
+    return duration_s * (1.0 / own_period_s(device, motion) if np.isnan(rate_hz) else rate_hz)
+
+
+def own_period_s(device: str, motion: Motion) -> float:
+    """Return the period of a device's samples, s; two at least.
+
+    Samples may come in bunches, stamped on arrival: the period is that of runs of `_RUN` samples. Where
+    the source's numbers show what was lost, it counts; else runs in which little was lost are taken.
+    """
+    stamps = [s.stamp for r in motion.records for s in r.inputs.of(device) if worst(s) is Status.OK]
+    run = min(_RUN, len(stamps) - 1)
+    t_s = 1e-9 * np.array([s.t_ns - stamps[0].t_ns for s in stamps])
+    seq = np.array([s.seq for s in stamps])
+    steps, shows_losses = np.maximum(seq[run:] - seq[:-run], run), bool((np.diff(seq) > 1).any())
+    return float(np.quantile((t_s[run:] - t_s[:-run]) / steps, 0.5 if shows_losses else 0.1))
 
 
 def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
@@ -69,7 +83,7 @@ def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
     drift, uncertainty, lag = clock_drift(series, series.t_s if device == "encoders" else series.host_s)
     return Stream(
         len(series) / duration_s,
-        min(1.0, len(series) / due(device, series, duration_s, config)),
+        min(1.0, len(series) / due(device, motion, duration_s, config)),
         (float(np.median(gaps)), float(np.percentile(gaps, 99)), float(gaps.max())),
         (float(np.median(age)), float(np.percentile(age, 99))),
         drift,

@@ -141,6 +141,21 @@ def test_what_was_asked_for_ahead_is_a_cycle_old(rate_hz):
     assert (found["servos"][0] > 5.0) is (rate_hz < 200.0)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.015])
+def test_a_capture_is_not_blamed_for_frames_in_bunches_and_is_for_lost_ones(late_s):
+    """Late frames are stamped in bunches, as in the public recordings; at last a third of all is lost."""
+    shares = []
+    for gaps_per_s in (0.0, 1.3, 12.0):
+        laws = {"emulation.mocap.stamp_late_s": late_s, "emulation.mocap.gaps_per_s": gaps_per_s}
+        with open_bench("emulated_floor", seed=2, overrides=laws) as bench:
+            motion = bench.observe(4.0, feedback="odometry")
+            shares.append(judge_stream("mocap", motion, bench.config).delivered)
+            frames = [s.stamp.seq for r in motion.records for s in r.inputs.mocap]
+        if gaps_per_s:
+            assert shares[-1] == pytest.approx(len(frames) / (frames[-1] - frames[0] + 1), abs=0.04)
+    assert min(shares[:2]) > 0.8 > shares[2]
+
+
 def test_servos_that_answer_late_are_too_old():
     overrides = {"servos.reply_slack_s": 0.02, "emulation.servos": {"processing_s": 0.012}}
     age, limit = ages_ms(overrides | {"loop.rate_hz": 50.0})["servos"]
