@@ -120,6 +120,8 @@ to its start after each cell, and motion capture takes the place of the emulated
   {SEES} has no fault; load cells count only where the fan holds the robot
   without propellers that do not report their push. All motions together lead at most {TRAVEL:g} m away, by
   the sensors that have no fault at the time; farther on the robot is stopped (`injected_travel`).
+  A path that is known beforehand (`hil live --trajectory FILE.csv`, the plan of a procedure) and leads
+  farther from its first place is refused before a port is opened.
 * **A fault ends when the robot is stopped**, whatever stops it, and before HELD is judged. It exists in
   the bench's own process only.
 * A fault that hits no message is an error of the run or the test. `injected` of `result.json`, and the

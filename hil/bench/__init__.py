@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         supported_faults,
     )
     from hil.bench.hold.held_state import Held
+    from hil.bench.injection import check_travel
     from hil.bench.loop_settings import alignment_parameters, safety_limits
     from hil.bench.opening import make_bench_model, open_bench
     from hil.drivers.servos.dynamixel.commissioning import set_up
@@ -35,6 +36,7 @@ else:
         "alignment_parameters": "hil.bench.loop_settings",
         "check_fault_kind": "hil.faults.fault:check_kind",
         "check_faults": "hil.bench.emulated_devices",
+        "check_travel": "hil.bench.injection",
         "faults_within": "hil.bench.emulated_devices",
         "hidden_truth": "hil.bench.emulated_devices",
         "make_bench_model": "hil.bench.opening",
@@ -56,6 +58,7 @@ __all__ = [
     "alignment_parameters",
     "check_fault_kind",
     "check_faults",
+    "check_travel",
     "faults_within",
     "hidden_truth",
     "make_bench_model",

@@ -1,22 +1,24 @@
 """Limits of a robot on a wall whose sensors have injected faults: what sees a slide, how far it goes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from hil.bench.loop_settings import adhesion_limits
 from hil.config.bench import BenchConfig
-from hil.core.errors import HilError, SafetyStop
+from hil.core.errors import HilError, SafetyStop, UsageError
 from hil.core.geometry import Array
 from hil.core.interfaces import Sink
 from hil.core.registry import kinds
 from hil.core.signals import CycleRecord, Status, samples_of, worst
 from hil.faults.permission import LONGEST_TRAVEL_M, SEES_A_SLIDE
+from hil.robot.trajectories import Trajectory
 
 _OVERSHOOT_M = 0.02
 """Distance beyond the longest travel at which the robot is stopped."""
 _CELLS = "load_cells"
+_TIMES = 200
 
 
 def seeing_a_slide(config: BenchConfig) -> tuple[str, ...]:
@@ -36,6 +38,29 @@ def cells_suffice(config: BenchConfig) -> bool:
         return False
     push_n = limits.nominal_thrust_n if limits.reports_thrust else 0.0
     return limits.wanted_n >= limits.limit_n(push_n, config.environment.start_pose[2])
+
+
+def must_stay_near(trajectory: Trajectory, began_at: Array | None = None) -> None:
+    """Refuse a trajectory that leads farther than a robot on a wall may go with faults at links.
+
+    Args:
+        trajectory: the requested trajectory.
+        began_at: (2,) place in the wall frame where the first motion began, m; None for the first place of
+            the trajectory.
+
+    Raises:
+        UsageError: names the distance and the limit.
+    """
+    places = trajectory.sample_many(np.linspace(0.0, trajectory.duration_s, _TIMES))[0][:, :2]
+    travel_m = float(np.linalg.norm(places - (places[0] if began_at is None else began_at), axis=1).max())
+    if travel_m > LONGEST_TRAVEL_M:
+        raise UsageError(
+            f"the trajectory {trajectory.name} leads {travel_m:.2f} m away from "
+            f"{'its first place' if began_at is None else 'where the first motion began'}, with faults in "
+            "front of real devices on a wall",
+            expected=f"at most {LONGEST_TRAVEL_M:g} m",
+            remedy="drive a shorter motion, or put the robot on a tether",
+        )
 
 
 class TravelBound(Sink):
@@ -95,12 +120,6 @@ class TravelBound(Sink):
             f"the robot has gone {gone_m:.2f} m by {name} since its first motion, with faults in front of "
             f"real devices on a wall: at most {LONGEST_TRAVEL_M:g} m are permitted",
         )
-
-    def farthest_m(self, places: Sequence[Array] | Array) -> float:
-        """Largest distance of planned places, (n, 2) m in the wall frame, from the first motion's begin."""
-        planned = np.asarray(places)
-        first = planned[0] if self.began_at is None else self.began_at
-        return float(np.linalg.norm(planned - first, axis=1).max())
 
     def close(self) -> None:
         """Nothing to release."""

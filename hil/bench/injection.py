@@ -1,17 +1,15 @@
 """Faults in front of the real devices of a bench: which are injected, when, and what they have hit."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-
-import numpy as np
 
 from hil.bench.by_hand import Hand, HandFaults
 from hil.bench.device_proxy import DeviceWithin
 from hil.bench.device_set_from_config import model_of
-from hil.bench.injected_travel import TravelBound, seeing_a_slide
+from hil.bench.injected_travel import TravelBound, must_stay_near, seeing_a_slide
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, Clock
-from hil.core.errors import FaultNotSupportedError, UsageError
+from hil.core.errors import FaultNotSupportedError
 from hil.core.interfaces import Device, Sink
 from hil.fakes.world import random_stream
 from hil.faults import permission
@@ -20,8 +18,6 @@ from hil.faults.fault import Fault
 from hil.faults.plan import FaultPlan
 from hil.links.injection import in_front_of
 from hil.robot.trajectories import Trajectory
-
-_TIMES = 200
 
 
 def real_device(config: BenchConfig, fault: Fault) -> str:
@@ -83,6 +79,27 @@ def check_links(
     )
 
 
+def check_travel(config: BenchConfig, faults: Sequence[Fault], planned: Iterable[Trajectory]) -> None:
+    """Refuse trajectories that lead too far for the faults of a bench; nothing is opened.
+
+    Args:
+        config: the bench configuration.
+        faults: all faults of the bench.
+        planned: trajectories that are known beforehand; they are made only where faults limit the travel.
+
+    Raises:
+        UsageError: names the first trajectory, the distance and the limit.
+    """
+    if _bounds_travel(config, at_links(config, faults)):
+        for trajectory in planned:
+            must_stay_near(trajectory)
+
+
+def _bounds_travel(config: BenchConfig, faults: Sequence[Fault]) -> bool:
+    """Whether faults of real devices limit how far the robot goes."""
+    return bool(faults) and config.environment.on_wall and not config.safety.tethered
+
+
 class Injection:
     """Faults in front of the real devices of one bench; without faults it does nothing.
 
@@ -113,10 +130,8 @@ class Injection:
         self._links: list[LinkFaults] = []
         self._world_ns: Callable[[], int] = lambda: 0
         self._ended_ns: int | None = None
-        on_wall = config.environment.on_wall and not config.safety.tethered
-        self._bound = (
-            TravelBound(config, self._acts, lambda: self._plan.empty) if faults and on_wall else None
-        )
+        bound = TravelBound(config, self._acts, lambda: self._plan.empty)
+        self._bound = bound if _bounds_travel(config, faults) else None
 
     def sinks(self) -> tuple[Sink, ...]:
         """Sinks that stop a robot that has gone too far, and that ask the operator for faults."""
@@ -161,15 +176,7 @@ class Injection:
         """
         if self._bound is None or self._plan.empty:
             return
-        times = np.linspace(0.0, trajectory.duration_s, _TIMES)
-        travel_m = self._bound.farthest_m(trajectory.sample_many(times)[0][:, :2])
-        if travel_m > permission.LONGEST_TRAVEL_M:
-            raise UsageError(
-                f"the trajectory leads {travel_m:.2f} m away from where the first motion began, with faults "
-                "in front of real devices on a wall",
-                expected=f"at most {permission.LONGEST_TRAVEL_M:g} m",
-                remedy="drive a shorter motion, or put the robot on a tether",
-            )
+        must_stay_near(trajectory, self._bound.began_at)
 
     def report(self) -> list[dict[str, object]]:
         """Each fault with begin and end, s since the bench was opened, and number of messages that it hit."""

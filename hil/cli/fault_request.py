@@ -38,7 +38,7 @@ def cells_at_links(
 
     supported, plants = faults_at_links(config), (DEVICES,)
     if asked.quick:
-        return tuple(c for c in quick_cells(seeds, plants) if c.fault in supported.get(c.device, ()))
+        return quick_cells(supported, seeds=seeds, plants=plants)
     if asked.count is not None:
         return random_cells(supported, count=asked.count, seeds=seeds, plants=plants)
     return cells_of(supported, seeds=seeds, plants=plants, moments=moments, only=asked.only)

@@ -211,9 +211,9 @@ def _cells(asked: Asked) -> tuple[Cell, ...]:
         )
     for plant in physics:
         check_faults(load_bench(config, overrides={"emulation.plant": plant}), ())
-    if asked.quick:
-        return quick_cells(worlds, physics)
     supported = supported_faults(config)
+    if asked.quick:
+        return quick_cells(supported, seeds=worlds, plants=physics)
     if asked.count is not None:
         return random_cells(supported, count=asked.count, seeds=worlds, plants=physics)
     return cells_of(supported, seeds=worlds, plants=physics, moments=moments, only=asked.only)

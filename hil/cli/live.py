@@ -143,9 +143,9 @@ def command(
     bench = real_time_source(request, repeated)
     reference, known = None, None
     if source is not None:
-        reference, known = load_trajectory(
-            source, make_bench_model(bench.config, calibration=bench.calibration).check
-        )
+        model = make_bench_model(bench.config, calibration=bench.calibration)
+        reference, known = load_trajectory(source, model.check)
+        bench.check_travel(() if known is None else (known,))
     stop = StopRequest()
     with stop.noted():
         with published(request, bench.config, patient=True) as publisher, _commands(commands) as lines:

@@ -144,9 +144,18 @@ def _wanted(
                 yield device_name, fault, each
 
 
-def quick_cells(seeds: Sequence[int], plants: Sequence[str]) -> tuple[Cell, ...]:
-    """Return the cells of the short form: a few in each world."""
-    return tuple(_cell(*given, seed, plant) for plant, seed, given in itertools.product(plants, seeds, QUICK))
+def quick_cells(
+    supported: Mapping[str, Supported], *, seeds: Sequence[int], plants: Sequence[str]
+) -> tuple[Cell, ...]:
+    """Return the cells of the short form: a few in each world, of faults that the bench has.
+
+    Args:
+        supported: kinds of faults and their options, by device.
+        seeds: seeds of the worlds.
+        plants: physics models.
+    """
+    given = [one for one in QUICK if one[1] in supported.get(one[0], ())]
+    return tuple(_cell(*one, seed, plant) for plant, seed, one in itertools.product(plants, seeds, given))
 
 
 def random_cells(

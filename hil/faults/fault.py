@@ -117,7 +117,7 @@ OPTIONS = {
     ),
     "delay_s": Option("by how much, s", 0, 60),
     "direction": Option(
-        "of the messages: `in` from the device, as without this option, `out` towards it",
+        "of the messages: `in` from the device, as without this option, `out` towards an emulated one",
         *(0, len(WAYS) - 1, True, WAYS),
     ),
     "distance_m": Option("size of the step, m", -100, 100),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from hil.user_code.roles import CONTROLLER
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.bench.by_hand import Hand
+    from hil.robot.trajectories import Trajectory
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,19 @@ class BenchSource:
 
         by_hand = self.by_hand is not None
         return planned_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=by_hand)
+
+    def check_travel(self, planned: Iterable[Trajectory]) -> None:
+        """Refuse planned trajectories that lead too far for faults in front of real devices.
+
+        Args:
+            planned: trajectories that are known beforehand; they are made only where faults limit the travel.
+
+        Raises:
+            UsageError: names the first trajectory, the distance and the limit.
+        """
+        from hil.bench import check_travel
+
+        check_travel(self.config, self.planned_faults(), planned)
 
     def with_its_faults(self) -> BenchSource:
         """Return the same bench with only the faults of devices that it has.

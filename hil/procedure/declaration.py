@@ -12,7 +12,7 @@ import inspect
 import logging
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -127,6 +127,11 @@ class Procedure:
             if inspect.iscoroutine(returned):
                 returned.close()
             raise _never_run(self.name, f"returned {kind}")
+
+    def trajectories(self, parameters: Any, config: BenchConfig) -> Iterator[Trajectory]:
+        """Yield the trajectories of the plan."""
+        for step in self.steps(parameters, config):
+            yield from step.trajectories
 
     def steps(self, parameters: Any, config: BenchConfig) -> tuple[PlannedStep, ...]:
         """Return the plan; without a plan, the step titles found in the function's source."""

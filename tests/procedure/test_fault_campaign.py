@@ -12,7 +12,7 @@ from hil.bench import check_faults, supported_faults
 from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.core.errors import Aborted, ConfigError, HilError, UsageError
-from hil.fault_matrix import MOMENTS, Cell, CellVerdict, cells_of, random_cells
+from hil.fault_matrix import MOMENTS, Cell, CellVerdict, cells_of, quick_cells, random_cells
 from hil.faults.files import read_faults
 from hil.report.history.index import find_results
 from hil.robot.trajectories import line
@@ -125,6 +125,13 @@ def test_the_short_form_passes(tmp_path):
     assert "| `servos` | `brownout` |" in (folder / "reliability.md").read_text(encoding="utf-8")
     assert reported["page"] == str(folder / "faults.html")
     assert "brownout" in (folder / "faults.html").read_text(encoding="utf-8")
+
+
+def test_the_short_form_of_a_bench_without_a_fan_leaves_out_the_fan():
+    """Its last cell once ended the whole campaign: "no emulated device of that name"."""
+    have = supported_faults(load_bench("emulated_floor"))
+    found = quick_cells(have, seeds=(0,), plants=("own",))
+    assert {cell.device for cell in found} == {"servos", "servo.steer_FL", "tracker", "imu", "plant"}
 
 
 def test_physics_that_are_not_installed_are_refused_before_the_first_cell(tmp_path, monkeypatch):
