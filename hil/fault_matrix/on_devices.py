@@ -38,6 +38,8 @@ DEVICES = "real"
 _AT_HOME_M, _HOME_M_S = 0.003, 0.05
 _OPENED_FROM = "@0.05"
 _REST_S = 0.5
+_SPARE_S = 1.0
+"""Time by which an opening of the bench may take longer than the first one, s."""
 
 
 def faults_at_links(config: BenchConfig) -> dict[str, Supported]:
@@ -126,7 +128,7 @@ class DeviceCells:
                 f"the drive without a fault was stopped: {'' if seen.stop is None else seen.stop.text}",
                 remedy="`hil doctor` and `hil run bring_up` say why",
             )
-        self._begun_s, self._astray_m = begun[0] / NS_PER_S, seen.astray_m
+        self._begun_s, self._astray_m = begun[0] / NS_PER_S + _SPARE_S, seen.astray_m
 
     def _at_their_moment(self, cell: Cell) -> list[Fault]:
         """Faults of a cell; those after the opening begin by the time at which this bench is open."""
@@ -139,6 +141,17 @@ class DeviceCells:
             faults.append(replace(fault, start_ns=fault.start_ns + shift_ns, end_ns=end_ns))
         return faults
 
+    def _is_in_time(self, cell: Cell, bench: Bench) -> bool:
+        """Rest until the drive of a cell is to begin; False if this bench was opened too late for that."""
+        if all(_OPENED_FROM in spec for spec in cell.specs):
+            return True
+        rest_s = self._begun_s - bench.world_ns / NS_PER_S
+        if rest_s < 0.0:
+            self._begun_s += _SPARE_S - rest_s
+            return False
+        bench.observe(rest_s)
+        return True
+
     def _drive(self, cell: Cell, start: Array) -> tuple[Seen, Array | None]:
         """Return what was seen, and the pose at the end, (3,); None if unknown."""
         seen, left = Seen(at_links=True), None
@@ -150,6 +163,8 @@ class DeviceCells:
             try:
                 with bench:
                     bench.add_sink(McapRecorder(str(path), bench.header(), lossless=False))
+                    if not self._is_in_time(cell, bench):
+                        return self._drive(cell, start)
                     climb(bench, seen, [], _Capture(start, [], bench), start)
                     seen.stopped_s = bench.clock.now_ns() / NS_PER_S
                     bench.look()

@@ -11,11 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import SafetyStop
 from hil.core.geometry import Array, rotation2
 from hil.core.signals import Reference, WheelMeasurement, WheelSetpoint
 
 _LAGS = 2.0
 """Permitted lead of the commanded wheel speed, as acceleration times this number of servo lags."""
+_STANDS_NS = 5 * NS_PER_S
+"""Longest time of nothing but pauses, ns."""
 
 
 class Restart:
@@ -45,14 +48,27 @@ class Restart:
         self.waited_ns = 0
         self._last_ns: int | None = None
         self._pace, self._quicker, self._step_s = 1.0, 0.0, 0.0
+        self._stood_ns = 0
         self._most_m_s: float | None = None
 
     def judge(self, t_ns: int) -> None:
-        """Process the time of a cycle; after a pause, delay the reference."""
+        """Process the time of a cycle; after a pause, delay the reference.
+
+        Raises:
+            SafetyStop: `held_up`, there have been nothing but pauses for too long.
+        """
         step_ns = 0 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns, self._step_s = t_ns, step_ns / NS_PER_S
+        self._stood_ns = self._stood_ns + step_ns if step_ns > self._after_ns else 0
+        if self._stood_ns > _STANDS_NS:
+            raise SafetyStop(
+                "held_up",
+                f"for {self._stood_ns / NS_PER_S:.0f} s no cycle of the control loop took less than "
+                f"{self._after_ns / NS_PER_S:g} s (servos.watchdog_s), and the wheels stand: "
+                "look for what holds it up, or takes the processor from it",
+            )
         if step_ns > self._after_ns:
-            self.waited_ns += step_ns - self._after_ns
+            self.waited_ns += step_ns - round(self._pace * self._after_ns)
             self._pace, self._quicker, self._step_s = 0.0, self._per_s, 0.0
             self._most_m_s = 0.0
         elif self._pace < 1.0:

@@ -6,6 +6,7 @@ import pytest
 from hil.bench import open_bench
 from hil.bench.loop_settings import motion_limits
 from hil.core.clock import nanoseconds
+from hil.core.errors import SafetyStop
 from hil.live.velocity_input import CommandLines
 from hil.live.velocity_reference import VelocityReference
 from hil.recording.mcap_writer import McapRecorder
@@ -16,8 +17,14 @@ from hil.robot.trajectories import line
 PAUSED_S = 0.3
 
 
-def driven(paused_s, recording=None):
-    """A bench, records of a drive in which the clock leaps once, and the place of the first record behind."""
+def driven(paused_s, recording=None, pauses=1):
+    """A bench, records of a drive in which the clock leaps, and the place of the first record behind it.
+
+    Args:
+        paused_s: length of a leap; 0 for none.
+        recording: path of a recording; None for none.
+        pauses: number of leaps, in consecutive cycles.
+    """
     bench = open_bench("emulated_floor", seed=0)
     if recording is not None:
         bench.add_sink(McapRecorder(recording, bench.header(), lossless=True))
@@ -26,7 +33,7 @@ def driven(paused_s, recording=None):
 
         def leap(record):
             begun.append(record.start_ns)
-            if paused_s and not leapt and record.start_ns >= begun[0] + nanoseconds(3.0):
+            if paused_s and len(leapt) < pauses and record.start_ns >= begun[0] + nanoseconds(3.0):
                 leapt.append(record)
                 bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(paused_s))
 
@@ -74,6 +81,22 @@ def test_the_reference_waits_and_the_drive_still_ends_at_its_goal(paused):
     assert np.diff(reported).max() <= 1.05 * bench.config.control.acceleration_m_s2 * 0.01
     assert records[-1].reference.done
     np.testing.assert_allclose(records[-1].state.pose_body_in_wall[:2], (0.5, 0.0), atol=0.003)
+
+
+def test_the_reference_stands_while_pause_follows_pause():
+    """It once ran 45 mm ahead of wheels that stood, at the link of a silent bus on a busy computer."""
+    bench, records, at = driven(0.1, pauses=8)
+    ahead_m = np.linalg.norm(
+        records[at + 7].reference.pose_in_wall[:2] - records[at - 1].reference.pose_in_wall[:2]
+    )
+    assert ahead_m < 1.2 * 0.122 * bench.config.servos.watchdog_s
+    assert records[-1].reference.done
+    np.testing.assert_allclose(records[-1].state.pose_body_in_wall[:2], (0.5, 0.0), atol=0.003)
+
+
+def test_a_drive_of_nothing_but_pauses_is_stopped():
+    with pytest.raises(SafetyStop, match=r"no cycle of the control loop took less than 0\.08 s"):
+        driven(0.1, pauses=1000)
 
 
 def test_a_drive_with_a_pause_repeats_in_replay(paused, recording):
