@@ -185,21 +185,27 @@ class CanLink:
     def _waiting(self, queue: deque[T], wait_ns: int) -> list[T]:
         """What the thread has put into a queue; waits for a first one, for `wait_ns` at most.
 
-        After 0.3 s without a call that is at least 0.1 s, so that the thread can catch up. After 50 ms
-        without a call the thread may be behind, as code that holds the interpreter stops it, too: then
-        this waits for what has arrived until now.
+        After 0.3 s without a call that is at least 0.1 s, so that the thread can catch up.
         """
         asked_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
         if self._asked_ns - asked_ns > _HELD_UP_NS:
             wait_ns = max(wait_ns, _CATCH_UP_NS)
         end_ns = self._asked_ns + wait_ns
-        if self._asked_ns - asked_ns > _BEHIND_NS and self._bus is not None:
-            full_ns = self._asked_ns + _CATCH_UP_NS
-            while self._emptied_ns < self._asked_ns and self._clock.now_ns() < full_ns:
-                self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
-        while not queue and self._clock.now_ns() < end_ns:
-            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
+        self._catch_up(asked_ns)
+        while not queue and (now_ns := self._clock.now_ns()) < end_ns:
+            self._clock.sleep_until_ns(now_ns + _LOOK_NS)
+            self._catch_up(now_ns)
         return [queue.popleft() for _ in range(len(queue))] if queue else []
+
+    def _catch_up(self, since_ns: int) -> None:
+        """If this thread has not looked for 50 ms, wait for what has arrived until now.
+
+        The reading thread may be behind: what stops this program, or holds the interpreter, stops it, too.
+        """
+        now_ns = self._clock.now_ns()
+        if now_ns - since_ns > _BEHIND_NS and self._bus is not None:
+            while self._emptied_ns < now_ns and self._clock.now_ns() < now_ns + _CATCH_UP_NS:
+                self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
 
     def _meant(self, arrived: list[Arrived], meaning: Meaning) -> list[Any]:
         """The samples of frames, without those that give none."""

@@ -118,6 +118,28 @@ def test_a_program_that_stood_still_waits_for_what_had_come_meanwhile():
         link.close()
 
 
+@pytest.mark.real_time
+def test_a_program_that_stood_still_in_its_wait_sees_what_had_come_meanwhile():
+    """README's test on devices served for a wall once ended with "no VESC answers" at load 8."""
+    options = {"port": free_udp_port(), "hop_limit": 0}
+    with can.Bus(interface="udp_multicast", channel=GROUP, **options) as bus:
+
+        class Stopped(Jumping):
+            def sleep_until_ns(self, t_ns):
+                if not self.ahead_ns:
+                    send(bus, (7, b"between"))
+                    self.ahead_ns = 3_000_000_000
+                super().sleep_until_ns(t_ns)
+
+        config = CanConfig(interface="udp_multicast", channel=GROUP, options=options)
+        link = CanLink("adhesion", config, Stopped())
+        link.open()
+        try:
+            assert [bytes(message.data) for _, message in link.take(1.0)] == [b"between"]
+        finally:
+            link.close()
+
+
 @pytest.mark.parametrize(
     "groups", [(GROUP, "239.74.164.12"), ("ff15:7079:7468:6f6e:6465::1", "ff15:7079:7468:6f6e:6465::2")]
 )

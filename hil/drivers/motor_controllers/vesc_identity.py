@@ -152,18 +152,18 @@ def discover_controllers(
         link.send(ping.id, ping.data, extended=True)
     asked, own = 0, config.controller_id
     end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
-    settled_ns: int | None = None
-    while (now_ns := clock.now_ns()) < end_ns:
+    settled = over = False
+    while not over:
+        over = clock.now_ns() >= end_ns  # what came while this program stood still is looked at once more
         for _, message in link.take(_WAIT_S):
             if message.is_extended_id:
                 _take(seen, answers, config, message.arbitration_id, bytes(message.data))
         if seen.pongs[own] and asked < len(QUESTIONS) and (not asked or answers.firmware):
             link.send(SHORT << 8 | own, question(QUESTIONS[asked], config.own_id), extended=True)
             asked += 1
-        if seen.pongs[own] and seen.statuses[own]:
-            settled_ns = settled_ns or now_ns + nanoseconds(_SETTINGS_S)
-            if answers.complete or now_ns >= settled_ns:
-                break
+        if seen.pongs[own] and seen.statuses[own] and not settled:
+            settled, over, end_ns = True, False, clock.now_ns() + nanoseconds(_SETTINGS_S)
+        over = over or (settled and answers.complete)
     return seen
 
 
