@@ -19,7 +19,7 @@ from hil.core.signals import Measurements, RobotState
 from hil.estimator.event_buffer import History
 from hil.estimator.event_loop import run
 from hil.estimator.initial_state import start_of
-from hil.estimator.kernel_layout import MEMORY, MEMORY_FLOATS, PARAMETERS, States, first_memory
+from hil.estimator.kernel_layout import MEMORY, MEMORY_FLOATS, PARAMETERS, States, first_memory, next_memory
 from hil.estimator.measurement_queue import REASONS, MeasurementQueue
 from hil.estimator.sensors import SENSORS
 from hil.estimator.sigma_points import Points
@@ -154,9 +154,12 @@ class FusionEstimator(Estimator):
             config.gates.three_dof,
         )
         self._ready = False
+        self._latest_ns: int | None = None
 
     def reset(self, state: RobotState) -> None:
         """Start from a known state, whose covariance (6, 6) is that of pose and twist.
+
+        A state of the time of the latest estimate goes on with it: the measured noise of the sensors is kept.
 
         Raises:
             UsageError: the state is not finite or its covariance is not a covariance.
@@ -164,8 +167,9 @@ class FusionEstimator(Estimator):
         x, p = start_of(self.config, self.surface, state)
         self._zero_ns = state.t_ns
         self._intake.reset()
-        self.history.reset(state.t_ns, x, p, first_memory())
-        self._ready = True
+        goes_on = state.t_ns == self._latest_ns
+        self.history.reset(state.t_ns, x, p, next_memory(self._now.m) if goes_on else first_memory())
+        self._ready, self._latest_ns = True, None
 
     def update(self, measurements: Measurements) -> RobotState:
         """Process one cycle's measurements and return the state at the cycle's time."""
@@ -176,6 +180,7 @@ class FusionEstimator(Estimator):
         h, now = self.history, self._now
         begin = h.enter(self._intake.stage(measurements, h.base_ns), measurements.t_ns)
         self.engine.run(h, begin, self._zero_ns, measurements.t_ns, now)
+        self._latest_ns = measurements.t_ns
         figures = self._diagnostics(measurements.t_ns) if self._diagnosed else {}
         return RobotState(
             measurements.t_ns, now.pose.copy(), now.twist.copy(), now.covariance.copy(), figures

@@ -3,7 +3,7 @@
 Each is a numpy record with its own fields and one part per sensor under the sensor's name.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from hil.core.geometry import Array
 from hil.core.named_records import FLOAT_BYTES, Ints, Record, Records, dtype_of, filled, floats, place
 from hil.estimator.process_model import ProcessParameters, process_values
 from hil.estimator.sensors import SENSORS
+from hil.estimator.sensors.measured_noise import MeasuredNoise
 from hil.estimator.state_vector import AUX, ROWS, STATES
 from hil.robot.kinematics import WheelGeometry
 
@@ -172,6 +173,23 @@ def parameters(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -
         **{s.NAME: s.values(config, geometry, surface) for s in SENSORS},
     }
     return filled(PARAMETERS, values)
+
+
+_MEASURED = [
+    place(MEMORY, f"{sensor.NAME}.{name}.{figure}")
+    for sensor in SENSORS
+    for name, kind in get_type_hints(sensor.Memory).items()
+    if kind is MeasuredNoise
+    for figure in ("samples", "ratio", "factor")
+]
+"""Places of what was measured of the sensors' noise."""
+
+
+def next_memory(m: Records) -> Records:
+    """Initial memory (1,) of a filter that begins anew after m (1,): it keeps the measured noise."""
+    memory = first_memory()
+    floats(memory)[0, _MEASURED] = floats(m)[0, _MEASURED]
+    return memory
 
 
 def first_memory() -> Records:

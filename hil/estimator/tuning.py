@@ -200,9 +200,15 @@ def _checked(config: EstimatorConfig, run: TruthRun) -> tuple[Array, Array, Arra
 
 
 def _nis(state: RobotState, sensor: str) -> float:
-    """Mean normalised innovation squared per row; 0 for a sensor without samples."""
-    age_s = state.diagnostics.get(f"age_{sensor}_s", math.inf)
-    return state.diagnostics[f"nis_mean_{sensor}"] if math.isfinite(age_s) else 0.0
+    """Mean NIS per row by the variances of the configuration; 0 for a sensor without samples.
+
+    The filter's own, with variances that it measures where those are too small, would show none too small.
+    """
+    figures = state.diagnostics
+    if not math.isfinite(figures.get(f"age_{sensor}_s", math.inf)):
+        return 0.0
+    factors = [value for name, value in figures.items() if name.startswith(f"noise_{sensor}")]
+    return figures[f"nis_mean_{sensor}"] * (sum(factors) / len(factors) if factors else 1.0)
 
 
 def tune(

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.core.signals import Measurements
+from hil.config.estimator import EstimatorConfig
+from hil.core.signals import Measurements, RobotState
+from hil.estimator import make_estimator
 from hil.estimator.sample_statistics import Change, Spread, about_a_line, blocks, random_walk
 from hil.estimator.sensor_noise import measure
 from tests.estimator.noisy_drives import GEOMETRY, Noise, driven
@@ -89,3 +91,48 @@ def test_a_hole_is_no_block():
 def test_spreads_add_by_their_freedom():
     assert (Spread(4.0, 2.0) + Spread(2.0, 4.0)).variance == pytest.approx(1.0)
     assert Spread(4.0, 2.0).less(5.0).variance == 0.0
+
+
+CONFIG = EstimatorConfig(
+    gyro={"rate_rad_s": 2e-3}, tracker={"position_m": 4e-4, "heading_rad": 6e-4, "scale_sigma": 0.01}
+)
+FACTORS = ("noise_gyro", "noise_tracker_x", "noise_tracker_y", "noise_tracker_heading")
+
+
+def at_work(cycles):
+    """A filter that was told the usual noise, after these cycles, and its factors on the variances."""
+    estimator = make_estimator(CONFIG, GEOMETRY, surface="floor")
+    estimator.reset(RobotState(0, np.zeros(3), np.zeros(3), np.eye(6) * 1e-8))
+    for one in cycles:
+        state = estimator.update(one)
+    return estimator, state, [state.diagnostics[name] for name in FACTORS]
+
+
+@pytest.mark.parametrize("times", [1 / 3, 1.0, 2.0, 3.0])
+def test_a_running_filter_measures_noise_beyond_what_it_was_told(times):
+    cycles = driven(true_noise(times, times, 1.0), seed=5, end_s=8.0)
+    _, state, found = at_work(cycles)
+    assert found == pytest.approx([times**2 if times > 1.0 else 1.0] * 4, rel=0.3)
+    assert state.diagnostics["nis_mean_tracker"] == pytest.approx(1.0 if times >= 1.0 else 0.11, abs=0.3)
+
+
+def test_what_changes_slowly_is_no_noise():
+    """Scale, drift and outliers of a camera stay what they are: errors that innovations show."""
+    wrong = replace(Noise(), camera_scale=1.3, camera_walk=6e-3, camera_turn=3e-3)
+    cycles = list(driven(wrong, seed=5, end_s=8.0))
+    for k in range(20, len(cycles), 40):
+        first, *others = cycles[k].tracker
+        leaps = replace(first, pose=first.pose + np.array([0.01, 0.0, 0.03]))
+        cycles[k] = replace(cycles[k], tracker=(leaps, *others))
+    _, state, found = at_work(cycles)
+    assert found == [1.0] * 4
+    assert state.diagnostics["nis_mean_tracker"] > 2.0
+
+
+def test_measured_noise_outlives_a_new_beginning_from_the_latest_estimate_only():
+    cycles = driven(true_noise(3.0, 3.0, 1.0), seed=5, end_s=3.0)
+    estimator, state, found = at_work(cycles[:-1])
+    for begin_ns, kept in ((state.t_ns, True), (state.t_ns - 1, False)):
+        estimator.reset(replace(state, t_ns=begin_ns))
+        later = estimator.update(cycles[-1]).diagnostics
+        assert [later[name] for name in FACTORS] == pytest.approx(found if kept else [1.0] * 4, rel=0.1)

@@ -13,6 +13,8 @@ from hil.config.estimator import EstimatorConfig
 from hil.core.geometry import Array
 from hil.core.named_records import Record
 from hil.core.signals import GyroMeasurement
+from hil.estimator.sensors.measured_noise import START as FIRST
+from hil.estimator.sensors.measured_noise import MeasuredNoise, measure
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     FARTHEST_RAD,
@@ -31,7 +33,12 @@ NAME = "gyro"
 NONLINEAR = False
 ANGLE_ROW = 1
 GATED_TOGETHER = False
-START = {"t_ns": -1.0, "rate.nis_mean": 1.0, "gravity.nis_mean": 1.0}
+START = {
+    "t_ns": -1.0,
+    "rate.nis_mean": 1.0,
+    "gravity.nis_mean": 1.0,
+    **{f"{row}_noise.{name}": value for row in ("rate", "gravity") for name, value in FIRST.items()},
+}
 FIGURES = {
     "nis_gyro": "rate.nis",
     "nis_gravity": "gravity.nis",
@@ -40,6 +47,8 @@ FIGURES = {
     "innovation_gyro_rad_s": "innovation_rad_s",
     "rejected_gyro": "rate.rejected",
     "rejected_gravity": "gravity.rejected",
+    "noise_gyro": "rate_noise.factor",
+    "noise_gravity": "gravity_noise.factor",
 }
 
 RATE, GRAVITY = 0, 1
@@ -68,10 +77,12 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """Stamp of the last sample (negative before the first), its innovation, and a tally for each row."""
+    """Stamp of the last sample (negative before the first), its innovation; noise and tally of each row."""
 
     t_ns: float
     innovation_rad_s: float
+    rate_noise: MeasuredNoise
+    gravity_noise: MeasuredNoise
     rate: Tally
     gravity: Tally
 
@@ -127,10 +138,11 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
     """Measured yaw rate and gravity heading with their variances."""
     z[RATE], z[GRAVITY] = row.rate_rad_s, row.heading_rad
-    var[RATE] = par.rate if math.isfinite(row.rate_rad_s) else -1.0
+    var[RATE] = par.rate * m.rate_noise.factor if math.isfinite(row.rate_rad_s) else -1.0
     pull = row.ahead_m_s2 * row.ahead_m_s2 + row.left_m_s2 * row.left_m_s2
     known = par.gravity_used > 0.0 and math.isfinite(row.heading_rad)
-    var[GRAVITY] = par.gravity + par.gravity_pulled * pull if known else -1.0
+    gravity = par.gravity * m.gravity_noise.factor
+    var[GRAVITY] = gravity + par.gravity_pulled * pull if known else -1.0
     return 2
 
 
@@ -182,5 +194,9 @@ def reanchor(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) ->
 
 @inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """Store the stamp."""
+    """Store the stamp, and measure the noise; that of gravity includes the pull of the body."""
+    dt_s, ahead, left = (t_ns - m.t_ns) * 1e-9, row.ahead_m_s2, row.left_m_s2
+    pulled = par.gravity_pulled * (ahead * ahead + left * left)
+    measure(m.rate_noise, row.rate_rad_s, dt_s, par.rate)
+    measure(m.gravity_noise, row.heading_rad, dt_s, par.gravity + pulled)
     m.t_ns = t_ns

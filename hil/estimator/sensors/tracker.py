@@ -11,6 +11,8 @@ import numpy as np
 from hil.config.estimator import EstimatorConfig
 from hil.core.geometry import Array
 from hil.core.named_records import Record
+from hil.estimator.sensors.measured_noise import START as FIRST
+from hil.estimator.sensors.measured_noise import MeasuredNoise, measure
 from hil.estimator.sensors.pose_sensor import POSE_ROWS, PoseRow, inflate_pose_variance, pack_pose, read
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
@@ -29,13 +31,21 @@ NAME = "tracker"
 NONLINEAR = False
 ANGLE_ROW = 2
 GATED_TOGETHER = True
-START = {"t_ns": -1.0, "frame_t_ns": -1.0, "tally.nis_mean": 1.0}
+START = {
+    "t_ns": -1.0,
+    "frame_t_ns": -1.0,
+    "tally.nis_mean": 1.0,
+    **{f"noise_{row}.{name}": value for row in ("x", "y", "heading") for name, value in FIRST.items()},
+}
 FIGURES = {
     "nis_tracker": "tally.nis",
     "nis_mean_tracker": "tally.nis_mean",
     "innovation_tracker_m": "innovation_m",
     "rejected_tracker": "tally.rejected",
     "reanchored_tracker": "tally.reanchored",
+    "noise_tracker_x": "noise_x.factor",
+    "noise_tracker_y": "noise_y.factor",
+    "noise_tracker_heading": "noise_heading.factor",
 }
 
 DOUBTED = 4.0
@@ -78,6 +88,7 @@ class Memory(Record):
         frame_t_ns: stamp at which the present frame started; negative before the first.
         x_m, y_m, heading_rad: the last pose in the camera's frame.
         innovation_m, innovation_rad: innovation of position and heading.
+        noise_x, noise_y, noise_heading: measured noise of each row.
         tally: tally of all rows.
     """
 
@@ -88,6 +99,9 @@ class Memory(Record):
     heading_rad: float
     innovation_m: float
     innovation_rad: float
+    noise_x: MeasuredNoise
+    noise_y: MeasuredNoise
+    noise_heading: MeasuredNoise
     tally: Tally
 
 
@@ -113,17 +127,21 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
 
 
 @inner
-def weigh(row: Row, par: Parameters, z: Array, var: Array) -> int:
-    """Fill the three measured rows; the variance is larger below the best quality."""
+def weigh(m: Memory, row: Row, par: Parameters, z: Array, var: Array) -> int:
+    """Fill the three measured rows; the variance is larger below the best quality, and for a noisy camera."""
     factor = DOUBTED if row.quality < _BEST_QUALITY else 1.0
-    return read(row, par.position * factor, par.heading * factor, z, var)
+    rows = read(row, par.position * factor, par.heading * factor, z, var)
+    var[0] *= m.noise_x.factor
+    var[1] *= m.noise_y.factor
+    var[2] *= m.noise_heading.factor
+    return rows
 
 
 @inner
 def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
     """Start the frame at this pose: set the pose in the camera's frame to it, with its noise."""
     z, var = np.zeros(ROWS), np.zeros(ROWS)
-    weigh(row, par, z, var)
+    weigh(m, row, par, z, var)
     for i in range(POSE_ROWS):
         x[CAMERA_X + i] = z[i]
         p[CAMERA_X + i, :] = 0.0
@@ -156,7 +174,7 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
 @inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
     """Measured pose with its variances."""
-    return weigh(row, par, z, var)
+    return weigh(m, row, par, z, var)
 
 
 @inner
@@ -196,7 +214,11 @@ def reanchor(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) ->
 
 @inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """Store stamp and pose."""
+    """Store stamp and pose, and measure the noise."""
+    dt_s, factor = (t_ns - m.t_ns) * 1e-9, DOUBTED if row.quality < _BEST_QUALITY else 1.0
+    measure(m.noise_x, row.x_m, dt_s, par.position * factor)
+    measure(m.noise_y, row.y_m, dt_s, par.position * factor)
+    measure(m.noise_heading, row.heading_rad, dt_s, par.heading * factor)
     m.t_ns = t_ns
     m.x_m, m.y_m, m.heading_rad = row.x_m, row.y_m, row.heading_rad
 

@@ -1,4 +1,4 @@
-"""Reports sensors that the estimator has rejected for long, or whose innovations are too large on average.
+"""Reports sensors that the estimator has rejected for long, that fit badly on average, or that are noisy.
 
 An estimate that fits neither camera nor wheels is wrong: the robot stops, as nothing corrects the estimate.
 Deterministic: depends only on the states since `reset`.
@@ -12,14 +12,19 @@ from hil.loop.cycle_data import Check, Cycle
 _MOST, _CALM = 2.5, 1.5
 """Mean normalised innovation squared at which a warning is given, and below which it may be given again;
 sensors without a fault stay below 1.2 on both plants."""
-
-
 _READS, _REJECTED = 100, 1.0
 """Reads of the servos that are judged together, and rejected wheels per read at which a warning is given;
 healthy servos have 0.3 at most."""
 _NEITHER, _IN_A_ROW = 6.0, 20
 """Mean NIS of the camera, and number of reads without a wheel that fits, from which on an estimate stops the
-robot; with three times the expected noise the NIS stays below 4 as long as the estimate is right."""
+robot. The noise of a camera is no reason: the estimator measures it."""
+_NOISES = {
+    "tracker": ("noise_tracker_x", "noise_tracker_y", "noise_tracker_heading"),
+    "imu": ("noise_gyro", "noise_gravity"),
+}
+"""Diagnostics of the estimator that hold factors on the variances of a device."""
+_LASTING = 100
+"""Number of estimates after which a device that is too noisy is reported: the factor is then good to 10 %."""
 
 
 class _WheelReads:
@@ -96,6 +101,31 @@ class _Refusals:
         return anew, refused
 
 
+class _Noise:
+    """Reports sensors that the estimator has found noisier than it was told, once per run."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Clear the counts."""
+        self._lasting = dict.fromkeys(_NOISES, 0)
+
+    def judge(self, state: RobotState, events: list[Event]) -> None:
+        """Check one cycle's estimate; adds findings to `events`."""
+        figures = state.diagnostics
+        for device, names in _NOISES.items():
+            factor = max(figures.get(name, 1.0) for name in names)
+            if factor > 1.0 and self._lasting[device] < _LASTING:
+                self._lasting[device] += 1
+                if self._lasting[device] == _LASTING:
+                    said = (
+                        f"{math.sqrt(factor):.1f} times as noisy as [estimator] says, and believed less by "
+                        "that: measure its noise (`hil run sensor_noise`)"
+                    )
+                    events.append(Event(state.t_ns, "warning", device, said))
+
+
 class FilterFit(Check):
     """Checks the estimate of one run."""
 
@@ -103,6 +133,7 @@ class FilterFit(Check):
         self._reads = _WheelReads()
         self._wheels = _Refusals("wheels", "servos", "camera and IMU")
         self._camera = _Refusals("tracker", "tracker", "servos and IMU")
+        self._noise = _Noise()
         self.reset()
 
     def reset(self) -> None:
@@ -110,6 +141,7 @@ class FilterFit(Check):
         self._reads.reset()
         self._wheels.reset()
         self._camera.reset()
+        self._noise.reset()
         self._misfit, self._largest_m, self._mean = False, 0.0, 1.0
         self._off = (0.0, 0.0)
 
@@ -131,7 +163,7 @@ class FilterFit(Check):
         if misfit > _NEITHER and (self._reads.often or self._reads.in_a_row >= _IN_A_ROW):
             said = (
                 f"the estimate fits neither the camera (mean NIS {misfit:.1f}, expected 1) nor the wheels: "
-                "it cannot be right. Measure the noise of camera and IMU (`hil run sensor_noise`)"
+                "it cannot be right. Measure what [estimator] says (`hil run sensor_noise`)"
             )
             cycle.stop("sensors_disagree", said, ("tracker", "servos", "imu"))
 
@@ -142,6 +174,7 @@ class FilterFit(Check):
         driver.
         """
         self._wheels.news(state, events)
+        self._noise.judge(state, events)
         self._judge_fit(state, events, *self._camera.news(state, events))
 
     def _judge_fit(self, state: RobotState, events: list[Event], anew: bool, refused: bool) -> None:
