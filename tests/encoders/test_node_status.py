@@ -5,6 +5,7 @@ import cantools
 import pytest
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
+from hil.core.errors import DeviceTimeoutError
 from hil.drivers.doctor_watch import Watched
 from hil.drivers.encoders.as5045.node_status import NodeStatus
 from hil.drivers.encoders.kind import KIND, look
@@ -112,12 +113,38 @@ def test_two_nodes_with_one_identifier_are_named_and_reported_once_a_second(enco
     assert "0x1A0, 0x1A1" in finding.found
 
 
+def with_unit_of_time(folder, unit):
+    """A DBC that is the shipped one but for the factor of the node's clock."""
+    dbc = folder / "other.dbc"
+    text = SHIPPED_DBC.read_text()
+    dbc.write_text(text.replace("NodeTime : 44|20@1+ (1e-05,", f"NodeTime : 44|20@1+ ({unit},"))
+    return {"dbc": str(dbc)}
+
+
+@pytest.mark.parametrize("unit", ["1e-06", "0.0001"])
+def test_another_unit_of_the_nodes_clock_is_named_and_is_no_second_node(encoder_bench, drain, tmp_path, unit):
+    bench = encoder_bench(config=with_unit_of_time(tmp_path, unit))
+    bench.driver.open()
+    findings = found(bench, drain(bench, 200))
+    assert findings["node time"].level == "failure"
+    assert "a factor of 1e-05 s fits" in findings["node time"].found
+    assert "identifiers" not in findings
+
+
+@pytest.mark.parametrize("unit", ["0.001", "1"])
+def test_a_unit_by_which_no_set_can_be_placed_in_time_is_named_as_well(encoder_bench, drain, tmp_path, unit):
+    bench = encoder_bench(config=with_unit_of_time(tmp_path, unit))
+    bench.driver.open()
+    with pytest.raises(DeviceTimeoutError, match=r"a factor of 1e-05 s fits.*correct the factor of NodeTime"):
+        drain(bench, 200)
+
+
 def test_a_node_that_restarts_once_is_no_second_one(encoder_bench, drain):
     bench = encoder_bench("encoders:reset@0.5")
     bench.driver.open()
     samples = drain(bench, 200)
     assert len(bench.driver.restarted) <= 1
-    assert "identifiers" not in found(bench, samples)
+    assert not {"identifiers", "node time"} & set(found(bench, samples))
 
 
 def test_frames_of_a_wrong_length_are_reported_by_the_doctor_and_once_a_second(encoder_bench, drain, caplog):

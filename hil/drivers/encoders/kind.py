@@ -46,8 +46,17 @@ def look(watched: Watched) -> Iterator[Finding]:
 
 
 def _frames(watched: Watched) -> Iterator[Finding]:
-    """Findings on frames with the node's identifiers: a second node that sends them, a wrong length."""
+    """Findings on frames with the node's identifiers: their clock, a second node, a wrong length."""
     encoders, bus = watched.device, watched.config.bus
+    if encoders.wrong_unit:
+        yield Finding(
+            "encoders",
+            "node time",
+            "failure",
+            encoders.wrong_unit,
+            "a clock that runs as fast as this computer's",
+            f"correct the factor of NodeTime in {watched.config.dbc_path} (encoders.dbc)",
+        )
     if encoders.two_nodes:
         yield Finding(
             "encoders",

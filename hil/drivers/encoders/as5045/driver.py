@@ -12,7 +12,7 @@ from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.interfaces import Sensor
 from hil.core.signals import EncoderSample, Stamp
-from hil.drivers.encoders.as5045.frame_layout import FrameLayout, load_layout
+from hil.drivers.encoders.as5045.frame_layout import NODE_TIME, FrameLayout, load_layout
 from hil.drivers.encoders.as5045.node_status import NodeStatus, NodeTimeline
 from hil.drivers.encoders.as5045.word import decode_words
 from hil.links.can_bus import CanLink, frame_key, remedy_of_silence, shown_key
@@ -26,6 +26,8 @@ _OVER_NS = 100_000_000
 """A set ends so long after its first frame, even without all frames; longer where sets are rarer."""
 _OPEN_SETS = 3
 _MOST_LISTED = 8
+_OTHER_PACE = 1.25
+"""Ratio from which two clocks do not count in one unit; frames that wait for the bus cost a tenth."""
 _OFTEN, _TOGETHER_NS = 4, 1_000_000_000
 """So many clock jumps within so long mean two nodes: one cannot restart in a quarter of a second."""
 
@@ -148,8 +150,20 @@ class As5045Encoders(Sensor[EncoderSample]):
         return self._link.error
 
     @property
+    def wrong_unit(self) -> str:
+        """Message that the unit of the node's clock in the DBC does not fit its pace; empty for none."""
+        pace = self._timeline.pace
+        if 1.0 / _OTHER_PACE < pace < _OTHER_PACE:
+            return ""
+        unit_s = next(iter(self._layout.values())).time_lsb_s
+        fits = f": a factor of {unit_s / pace:.2g} s fits" if pace > 0.0 else ""
+        return f"by {NODE_TIME} the node's clock runs {pace:.3g} times as fast as this computer's{fits}"
+
+    @property
     def two_nodes(self) -> str:
         """Message that a second node seems to send with our identifiers; empty for none."""
+        if self.wrong_unit:
+            return ""
         often = len(self.restarted) == _OFTEN and self.restarted[-1] - self.restarted[0] < _TOGETHER_NS
         identifiers = ", ".join(map(shown_key, self._layout))
         return (
@@ -190,13 +204,16 @@ class As5045Encoders(Sensor[EncoderSample]):
         return self._link.port
 
     def _silent(self, duration_s: float) -> DeviceTimeoutError:
-        seen = self._link.bus_errors() + f"; {self.two_nodes}" * bool(self.two_nodes)
+        clocks = self.wrong_unit or self.two_nodes
+        seen = self._link.bus_errors() + f"; {clocks}" * bool(clocks)
         return DeviceTimeoutError(
             self.name,
             f"no sample set for {duration_s:.1f} s{seen}",
             port=self._port,
             expected=f"{self._config.rate_hz:g} sets per second",
-            remedy=remedy_of_silence(self.name, self._config, "the encoders' node"),
+            remedy=f"correct the factor of {NODE_TIME} in encoders.dbc"
+            if self.wrong_unit
+            else remedy_of_silence(self.name, self._config, "the encoders' node"),
         )
 
     def _await_first_set(self) -> None:
@@ -286,7 +303,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         if restarted:
             self._discard = self._config.startup_discard
             self.restarted.append(host_ns)
-            message = self.two_nodes or "has restarted"
+            message = self.wrong_unit or self.two_nodes or "has restarted"
             self._say_restarted.warn(host_ns, f"{self.name} at {self._port}: {message}")
         if self._discard > 0:
             self._discard -= 1

@@ -17,6 +17,9 @@ from hil.links.dbc_file import key_of_message, load_database
 
 _LEAK = 200e-6
 _RESTART_NS = 250_000_000
+_PACE_NS, _STEADY = 250_000_000, 0.3
+"""Time over which the node's clock is compared with the host's, and share by which its steps may differ then:
+those of two nodes that take turns differ by more."""
 _MESSAGE, _LAYOUT = "NodeStatus", "Layout"
 _COUNTERS = {
     "ParityErrors": "words with wrong parity",
@@ -27,7 +30,12 @@ _COUNTERS = {
 
 
 class NodeTimeline:
-    """Unwraps sequence and node time of one node and maps them to the bench clock."""
+    """Unwraps sequence and node time of one node and maps them to the bench clock.
+
+    Attributes:
+        sequence: number of the latest sample set, unwrapped.
+        pace: speed of the node's clock over that of the host, by its latest steady steps; 1 before them.
+    """
 
     def __init__(self, sequence_mask: int, time_mask: int, time_lsb_s: float) -> None:
         self._sequence_mask = sequence_mask
@@ -40,6 +48,9 @@ class NodeTimeline:
         self._offset_ns = 0.0
         self._t_ns = -(1 << 62)
         self.sequence = 0
+        self.pace = 1.0
+        self._ticks = self._lasted_ns = 0
+        self._ticks_per_set = 0.0
 
     def update(self, sequence: int, time_raw: int, host_ns: int) -> tuple[int, int, bool]:
         """Map the times of a sample set that arrived at `host_ns`.
@@ -51,11 +62,15 @@ class NodeTimeline:
             self._start(sequence, time_raw, host_ns)
             return self._forward(host_ns, host_ns), self._node_ns, False
         elapsed_ns = host_ns - self._host_ns
-        node_step_ns = round((time_raw - self._time_raw) % self._wrap * self._lsb_ns)
+        ticks, step = (
+            (time_raw - self._time_raw) % self._wrap,
+            (sequence - self._sequence_raw) & self._sequence_mask,
+        )
+        self._compare(ticks, step, elapsed_ns)
+        node_step_ns = round(ticks * self._lsb_ns)
         behind_ns = elapsed_ns - node_step_ns
         if behind_ns >= self._half_ns or behind_ns <= -self._half_ns:
             node_step_ns += round(behind_ns / self._wrap_ns) * self._wrap_ns
-        step = (sequence - self._sequence_raw) & self._sequence_mask
         if abs(node_step_ns - elapsed_ns) > _RESTART_NS or node_step_ns < 0:
             before = self.sequence
             self._start(sequence, time_raw, host_ns)
@@ -69,6 +84,19 @@ class NodeTimeline:
         self._offset_ns = leaked_ns if leaked_ns < offset_ns else offset_ns
         t_ns = self._forward(round(self._node_ns + self._offset_ns), host_ns)
         return t_ns, self._node_ns, False
+
+    def _compare(self, ticks: int, step: int, elapsed_ns: int) -> None:
+        """Add `step` sample sets, `ticks` of the node's clock later; one that does not follow begins anew."""
+        usual = self._ticks_per_set
+        if step and elapsed_ns > 0 and abs(ticks - step * usual) <= _STEADY * step * usual:
+            self._ticks += ticks
+            self._lasted_ns += elapsed_ns
+        else:
+            self._ticks_per_set = ticks / step if step else 0.0
+            self._ticks = self._lasted_ns = 0
+        if self._lasted_ns >= _PACE_NS:
+            self.pace = self._ticks * self._lsb_ns / self._lasted_ns
+            self._ticks = self._lasted_ns = 0
 
     def _forward(self, t_ns: int, host_ns: int) -> int:
         t_ns = t_ns if t_ns < host_ns else host_ns
