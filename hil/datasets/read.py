@@ -9,6 +9,7 @@ from pathlib import Path
 from hil.core.errors import ConfigError, DataError, UsageError
 from hil.core.path_hints import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
+from hil.datasets.angle_faults import with_angle_faults
 from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.changed_wheels import with_changed_wheels
 from hil.datasets.drive_coverage import covered
@@ -20,6 +21,7 @@ from hil.datasets.recording_names import named_apart
 from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
+from hil.datasets.truth_sessions import with_other_scales
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import check_signs
@@ -153,7 +155,8 @@ def read_recordings(
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(named_apart(without_copies(out)), robot.geometry, coupling)
-    out = corrected(with_misplaced_columns(out, robot))
+    out = corrected(with_angle_faults(with_misplaced_columns(out, robot)))
+    out = with_other_scales(out)
     check_signs(out, robot, of_all=unusable is not None)
     return with_changed_wheels(out, robot.geometry)
 
