@@ -1,6 +1,7 @@
-"""Finds a column of ground truth that holds another quantity than its name says, by the ways of the wheels.
+"""Finds a column of ground truth that is rounded, or holds another quantity than its name says.
 
-The wheels predict every column: the way in x and in y, and the turn. Where one of them does not follow while
+Rounded values are multiples of one step, and stay the same for most rows of a drive. The wheels predict every
+column: the way in x and in y, and the turn. Where one of them does not follow while
 the others do, it is named, and so is what it holds instead, if that can be seen.
 """
 
@@ -17,6 +18,35 @@ from hil.robot.kinematics import WheelGeometry
 _WRONG, _AGREES = 0.6, 0.2
 _COURSE, _MOST = 0.1, 0.8
 _WORTH_M, _FEWEST = 0.1, 4
+_COARSE, _STEPS, _OFF_STEP, _HELD = {"x": 2e-3, "y": 2e-3, "theta": 8e-3}, 5, 0.01, 0.5
+"""Rounding that is too coarse, m and rad; what shows it."""
+
+
+def rounding(pose: Array) -> str:
+    """Columns of ground truth (m, 3) that are rounded to 2 mm, or 8 mrad, or more, in words; else empty.
+
+    A robot that is simulated without noise may change by equal steps as well, but from row to row.
+    """
+    steps = {name: _step(column) for name, column in zip(_COARSE, pose.T, strict=True)}
+    return ", ".join(
+        f"theta to {step:.3g} rad ({np.degrees(step):.2g} deg)"
+        if name == "theta"
+        else f"{name} to {step:.3g} m"
+        for name, step in steps.items()
+        if step >= _COARSE[name]
+    )
+
+
+def _step(column: Array) -> float:
+    """The step to multiples of which values (m,) are rounded; 0 where they are not."""
+    values = np.unique(column)
+    changes = np.flatnonzero(np.diff(column))
+    if len(values) < _STEPS or len(changes) < _STEPS:
+        return 0.0
+    step = float(np.diff(values).min())
+    multiples = np.abs(values / step - np.round(values / step)).max() < _OFF_STEP
+    held = 1.0 - len(changes) / (changes[-1] - changes[0] + 1)
+    return step if multiples and held > _HELD else 0.0
 
 
 def check_columns(where: str, drive: Drive, nominal: Nominal) -> None:

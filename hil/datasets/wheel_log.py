@@ -23,7 +23,7 @@ from hil.datasets.filled_rows import measured
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.rate_units import check_rates
 from hil.datasets.repeated_samples import without_held
-from hil.datasets.truth_columns import check_columns
+from hil.datasets.truth_columns import check_columns, rounding
 from hil.datasets.truth_jumps import WheelMotion
 from hil.datasets.unit_check import check_units, rolled_m
 from hil.datasets.usable_rows import Rows, usable, usable_wheels, without_frozen, without_jumps
@@ -180,6 +180,7 @@ def _build(
     rate = recorded_rates(rows.values, repairs)
     turns = whole_turns(where, rows.t_s, rows.values[:, :4], rate)
     repairs.update(turns.repairs)
+    _check_rounding(where, Drive(rows.t_s, turns.angle, rows.values[:, 4:8], poses.t_s, poses.values), robot)
     poses = without_frozen(where, poses, rows.t_s, turns.angle, end_s, repairs)
     poses = poses.only(measured(poses.t_s, poses.values, repairs))
     raw, steering = rows.values[:, 4:8], without_turns(rows.values[:, 4:8])
@@ -253,6 +254,20 @@ def _without_truth(
         nominal=robot,
         of_twist=of_twist,
     )
+
+
+def _check_rounding(where: str, drive: Drive, robot: Nominal) -> None:
+    """Raise `DataError` for ground truth that is rounded, unless it is in another unit."""
+    if coarse := rounding(drive.pose):
+        check_ways(where, drive, robot, integrated=False)
+        heading = drive.pose[:, 2]
+        check_units(where, drive.angle, drive.steering, drive.truth_t_s, drive.pose, heading, robot)
+        raise DataError(
+            where,
+            f"its ground truth is rounded: {coarse}",
+            expected="positions to 1 mm and headings to 0.1 deg, or better",
+            remedy="export the poses with all their digits",
+        )
 
 
 def _check_shared(where: str, drive: Drive, between_s: tuple[float, float]) -> None:

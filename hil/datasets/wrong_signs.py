@@ -236,6 +236,7 @@ def _changed(strides: Strides, rolled: Array, moved: Array) -> dict[str, Array]:
         "the steering (delta) had the other sign": (strides.rolled(_MIRRORED), moved),
         "the heading (theta) had the other sign": (rolled, strides.moved((1.0, 1.0, -1.0))),
         "y and the heading (theta) had the other sign": (rolled, moved * (1.0, -1.0, -1.0)),
+        "the heading (theta) were twice as large": (rolled, strides.moved((1.0, 1.0, 2.0))),
         "the heading (theta) were half a turn further": (rolled, moved * (-1.0, -1.0, 1.0)),
         "x had the other sign": (rolled, strides.moved((-1.0, 1.0, 1.0))),
         "y had the other sign": (rolled, strides.moved((1.0, -1.0, 1.0))),
