@@ -4,6 +4,7 @@ Each wheel is compared with the ground truth at its own place, in stretches of h
 only if the wheel agrees once it is undone.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,6 +21,7 @@ _ODD, _AGREES = 0.3, 0.2
 _EXPLAINED = 0.5
 _MOST = 2
 _STILL = 0.1
+_EXCHANGED = "are exchanged"
 
 
 def check_odd_wheels(recordings: Sequence[Recording], nominal: Nominal) -> None:
@@ -34,6 +36,14 @@ def check_odd_wheels(recordings: Sequence[Recording], nominal: Nominal) -> None:
         expected="columns of each wheel in the order FL, BL, BR, FR; phi grows as it rolls along delta",
         remedy="correct that column in the file",
     )
+
+
+def alike(recordings: Sequence[Recording], nominal: Nominal) -> list[Recording]:
+    """The recordings, two at least, in which the same wheels are exchanged: columns of a session, or a logger."""
+    found = {k: " ".join(odd_wheels([one], nominal.geometry)) for k, one in enumerate(recordings)}
+    same = Counter(said for said in found.values() if _EXCHANGED in said)
+    most = max(same, key=lambda said: same[said], default="")
+    return [recordings[k] for k, said in found.items() if said == most] if same[most] > 1 else []
 
 
 def odd_wheels(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
@@ -55,7 +65,7 @@ def odd_wheels(recordings: Sequence[Recording], geometry: WheelGeometry) -> list
     if len(odd) == _MOST and np.all(missed(rolled[:, odd[::-1]], moved[:, odd]) < _AGREES):
         one, other = odd
         columns = f"{_columns(one)} for {_columns(other)}"
-        return [f"the {WHEELS[one]} and {WHEELS[other]} wheels are exchanged ({columns})"]
+        return [f"the {WHEELS[one]} and {WHEELS[other]} wheels {_EXCHANGED} ({columns})"]
     causes = {i: _causes(i, rolled[:, i], moved[:, i], _EXPLAINED * share[i]) for i in odd}
     return [
         f"the {WHEELS[i]} wheel ({_columns(i)}) alone misses {100.0 * share[i]:.0f} % of its way by ground "

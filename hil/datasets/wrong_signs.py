@@ -16,7 +16,7 @@ from hil.core.geometry import Array, Bools
 from hil.core.signals import WHEELS
 from hil.datasets.fit_blocks import reduce_recordings
 from hil.datasets.nominal_robot import Nominal
-from hil.datasets.odd_wheels import check_odd_wheels
+from hil.datasets.odd_wheels import alike, check_odd_wheels
 from hil.datasets.strides import BLOCK_S, LEAST_ROLLED_RAD, Strides
 from hil.datasets.wheel_log import Recording
 from hil.robot.kinematics import WheelGeometry
@@ -137,8 +137,9 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
     likely = found.likely()
     if not likely:
         far = [one for one, share in zip(recordings, found.missed, strict=True) if share > _UNEXPLAINED]
-        if not of_all or 2 * len(far) >= len(recordings):
-            check_odd_wheels(far, nominal)
+        check_odd_wheels(
+            far if not of_all or 2 * len(far) >= len(recordings) else alike(far, nominal), nominal
+        )
     if of_all and not found.of_all:
         return
     if not likely:
