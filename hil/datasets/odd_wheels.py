@@ -39,7 +39,7 @@ def check_odd_wheels(recordings: Sequence[Recording], nominal: Nominal) -> None:
 
 
 def alike(recordings: Sequence[Recording], nominal: Nominal) -> list[Recording]:
-    """The recordings, two at least, in which the same wheels are exchanged: columns of a session, or a logger."""
+    """The recordings, two at least, in which the same wheels are exchanged: then it is no single file."""
     found = {k: " ".join(odd_wheels([one], nominal.geometry)) for k, one in enumerate(recordings)}
     same = Counter(said for said in found.values() if _EXCHANGED in said)
     most = max(same, key=lambda said: same[said], default="")

@@ -150,6 +150,7 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
         nominal=robot,
         repairs=repairs,
         of_twist=topics.wheels is None,
+        with_sensors=topics.imu is not None or topics.tracker is not None,
     )
     found = replace(found, unused=unused_topics(file, set(names.values())))
     sensors = {names[table]: rows_of[table] for table in ("imu", "tracker") if table in names}

@@ -17,6 +17,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.bag_sensors import SensorLog
 from hil.datasets.cleaning import INTEGRATED, Log, count_gaps, recorded_rates
+from hil.datasets.clock_leaps import without_leaps
 from hil.datasets.clock_steps import in_words, split
 from hil.datasets.column_units import check_steering_unit, check_ways
 from hil.datasets.filled_rows import measured
@@ -115,6 +116,7 @@ def build_recording(
     nominal: Nominal | None = None,
     repairs: Mapping[str, int] | None = None,
     of_twist: bool = False,
+    with_sensors: bool = False,
 ) -> Recording:
     """Repair and check the two logs of a run; split it where stamps step back (`Recording.later`).
 
@@ -128,6 +130,7 @@ def build_recording(
         nominal: nominal robot for the checks of units and motion, the CAD model by default.
         repairs: counts of repairs made by the reader, by name.
         of_twist: True for wheels that were made of a twist: units and angles of wheels are not checked.
+        with_sensors: True where sensors are read from the same clock: its leaps are then not taken out.
 
     Raises:
         DataError: too short, no ground truth, no overlap in time, wrong units, or wheel angles that leap
@@ -136,7 +139,8 @@ def build_recording(
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
 
     def build(called: str, wheels: Log, truth: Log | None) -> Recording:
-        how = _without_truth if truth is None else partial(_build, truth=truth)
+        whole = partial(_build, with_sensors=with_sensors)
+        how = _without_truth if truth is None else partial(whole, truth=truth)
         return how(called, where, wheels, motion, robot, dict(repairs or {}), of_twist)
 
     parts, problems, refusals = list[Recording](), list[str](), list[DataError]()
@@ -170,9 +174,12 @@ def _build(
     of_twist: bool,
     *,
     truth: Log,
+    with_sensors: bool,
 ) -> Recording:
     """One recording from logs without steps back; see `build_recording`."""
     rows, poses = usable(where, wheels, truth, repairs)
+    if not with_sensors:
+        rows, poses = without_leaps(rows, poses, repairs)
     begin_s, end_s = max(rows.t_s[0], poses.t_s[0]), min(rows.t_s[-1], poses.t_s[-1])
     counted = rows.values[:, 4:8]
     fresh, values = without_held(rows.t_s, rows.values, repairs)
