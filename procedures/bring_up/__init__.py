@@ -31,7 +31,7 @@ from hil.procedure.needed_devices import Device, only
 from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import inertial, integrated, poses
 from hil.procedure.tracking_errors import enable_hold
-from hil.procedures.bring_up.body_sensor import wrong_place, wrong_turns
+from hil.procedures.bring_up.body_sensor import wrong_axes, wrong_place, wrong_turns
 from hil.procedures.bring_up.jogs import (
     DriveJogs,
     SteerJogs,
@@ -40,6 +40,7 @@ from hil.procedures.bring_up.jogs import (
     jog_steering,
     reversed_names,
 )
+from hil.procedures.bring_up.plane import LOOK_AT
 from hil.procedures.bring_up.report import (
     draw_clocks,
     draw_directions,
@@ -271,13 +272,14 @@ def run(ctx: Context) -> None:
     with ctx.step("drives", timeout_s=120.0):
         straight = jog_drives(bench, p.body, 0.0, p.drive_rad_s)
         across = jog_drives(bench, p.body, np.pi / 2.0, p.drive_rad_s)
-        if across.out_of_plane:
+        if across.off_plane:
+            seen = " and ".join(LOOK_AT[name] for name in across.off_plane)
             ctx.note(
-                "Motion capture sees the robot leave its plane while the wheels roll on it: look at "
-                "mocap.up_axis, at the plane, and at the axes of mocap.body. No direction was judged."
+                f"By {kinds()[p.body].noun} the robot leaves its plane while the wheels roll on it: look at "
+                f"{seen}. No direction was judged."
             )
             return
-        if turned := wrong_turns(p.body, straight, across):
+        if turned := wrong_turns(p.body, straight, across) or wrong_axes(p.body, straight, across):
             ctx.note(f"{turned} No direction was judged.")
             return
         _measure_drives(ctx, straight, across, steer)

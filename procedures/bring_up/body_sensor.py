@@ -1,4 +1,4 @@
-"""Checks the sensor that shows how the body moves by jogs of single wheels: its turns, and its place.
+"""Checks the sensor that shows how the body moves by jogs of single wheels: its turns, its axes, its place.
 
 A camera that is turned about the vertical shows the right gravity. It shows no turn, or the opposite one, and
 all that is measured by it would be blamed on drives and steering. The gyro shows the same turns.
@@ -15,6 +15,9 @@ _CALLED = {"tracker": "the camera", "mocap": "motion capture"}
 _SAME = (0.6, 1.6)
 """Turn of good sensors over that of the gyro, in turns of milliradians."""
 _TURNS_RAD = 0.001
+_ALIKE, _APART_RAD, _ROTATED_RAD = 0.55, 0.4, 0.6
+"""Cosine from which turns are those of the wheels: 0.69 on a floor, and 0.35 with reversed steering; angle by
+which two rotations may differ; and that from which pushes look like those of other wheels."""
 _LEVER_M = 0.08
 """Difference of a place on the body from which jogs show it: slipping wheels alone give 0.055 m."""
 
@@ -45,6 +48,44 @@ def wrong_turns(source: str, straight: DriveJogs, across: DriveJogs) -> str:
         f"{_CALLED[source]} sees {share:.2f} of the turns that the gyro sees, and the wheels agree with the "
         f"gyro: look at {_KEYS[source]}, which turns its axes."
     )
+
+
+def wrong_axes(source: str, straight: DriveJogs, across: DriveJogs) -> str:
+    """Return why the pushes by a sensor of the body cannot be blamed on the wheels, with its key; else empty.
+
+    A sensor that is turned about the vertical shows the right gravity and the right turns of the body. It
+    rotates all pushes alike, and its place on the body, which then seems to move with each turn. Wheels that
+    are steered or driven the wrong way turn the body otherwise, too.
+
+    Args:
+        source: the sensor, `mocap` or `tracker`.
+        straight: jogs with the wheels along the body.
+        across: jogs with the wheels across it.
+    """
+    rounds = (straight, across)
+    felt = [one.felt_rad if np.isfinite(one.felt_rad).all() else one.moved[:, 2] for one in rounds]
+    (along, side), (ahead, left) = felt, (one.expected[:, 2] for one in rounds)
+    size = _size(np.concatenate(felt)) * _size(np.concatenate([ahead, left]))
+    by_wheels = complex(along @ ahead + side @ left, along @ left - side @ ahead)  # its angle: that of wheels
+    if _size(np.concatenate(felt)) < _TURNS_RAD or abs(by_wheels) < _ALIKE * size:
+        return ""
+    rotated = [_rotation(one, turn) for one, turn in zip(rounds, felt, strict=True)]
+    both = sum(rotated)
+    apart = max(abs(np.angle(one / both)) for one in rotated) if both else np.inf
+    rotated_rad = float(np.angle(both))
+    if max(apart, abs(np.angle(by_wheels))) > _APART_RAD or abs(rotated_rad) < _ROTATED_RAD:
+        return ""
+    return (
+        f"{_CALLED[source]} sees all pushes of the wheels rotated by {np.degrees(rotated_rad):+.0f} deg, and "
+        f"the turns fit the wheels: look at {_KEYS[source]}, which turns its axes."
+    )
+
+
+def _rotation(jogs: DriveJogs, turns: Array) -> complex:
+    """Complex factor from expected to seen pushes; turns (4,) may add what a wrong place makes of them."""
+    pushed, seen = (rows[:, 0] + 1j * rows[:, 1] for rows in (jogs.expected, jogs.moved))
+    known = np.stack([pushed, turns.astype(np.complex128)], axis=1)
+    return complex(np.linalg.lstsq(known, seen, rcond=None)[0][0])
 
 
 def wrong_place(source: str, straight: DriveJogs, across: DriveJogs) -> str:

@@ -14,14 +14,14 @@ import numpy as np
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array
-from hil.core.signals import WHEELS, Status
+from hil.core.signals import WHEELS
 from hil.loop.driven_motion import Motion
 from hil.procedure.sample_arrays import Series, encoders, inertial, integrated, poses, wheels
 from hil.procedure.scripted_joints import Stretch, play
+from hil.procedures.bring_up.plane import off_plane
 
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
 _SETTLE_S = 1.5
-_LEAVES_M = 0.001
 _LIKE = 0.5
 """Cosine of pushes, or share of a turn, above which two joints count as the same."""
 _LESS = 0.3
@@ -39,7 +39,7 @@ class DriveJogs:
         moved_m: (4,) length of the displacement: half of out minus back.
         moved: (4, 3) displacement in body axes, m, m, rad.
         felt_rad: (4,) turn by the gyro; NaN without one.
-        out_of_plane: True if motion capture saw the body move more out of its plane than in it.
+        off_plane: sensors by which the body leaves the plane that it rolls on.
     """
 
     steering_rad: float
@@ -48,7 +48,7 @@ class DriveJogs:
     moved_m: Array
     moved: Array
     felt_rad: Array
-    out_of_plane: bool = False
+    off_plane: tuple[str, ...] = ()
 
     def agreement(self) -> Array:
         """Return the (4,) cosine between found and expected push: 1 for the right direction, -1 reversed."""
@@ -136,7 +136,7 @@ def jog_drives(bench: Bench, source: str, steering_rad: float, rate_rad_s: float
         size,
         moved / [1.0, 1.0, reach],
         _felt(bench, motion, marks),
-        source == "mocap" and leaves_plane(motion),
+        off_plane(source, motion, bench.config),
     )
 
 
@@ -148,15 +148,6 @@ def _felt(bench: Bench, motion: Motion, marks: list[float]) -> Array:
     turned = np.interp(marks, data.t_s, integrated(data.t_s, data[0]))
     steps = np.diff(turned)
     return np.asarray(0.5 * (steps[0::2] - steps[1::2]), dtype=np.float64)
-
-
-def leaves_plane(motion: Motion) -> bool:
-    """Whether the body moved farther out of the plane of motion capture than in it, by over a millimetre."""
-    places = [s.position_m for r in motion.records for s in r.inputs.mocap if s.status is Status.OK]
-    if not places:
-        return False
-    x_m, y_m, z_m = np.ptp(np.array(places), axis=0)
-    return bool(z_m > max(_LEAVES_M, math.hypot(x_m, y_m)))
 
 
 def _arms(config: BenchConfig) -> Array:

@@ -7,6 +7,7 @@ import pytest
 from procedure_runs import AS_SHIPPED, assert_covered, fragment_of, part, run, true_world
 
 from hil.bench import open_bench
+from hil.config.assumed_parameters import turned
 from hil.config.loading import load_bench
 from hil.core.clock import nanoseconds
 from hil.fakes.mocap.natnet.chip import NatNetServer
@@ -242,6 +243,42 @@ def test_a_robot_that_stands_otherwise_than_the_bench_file_says_fails_unmoved(tm
     )
     assert [s["title"] for s in done.result.facts["steps"]] == ["identity", "streams"]
     assert "nothing was moved" in done.result.to_json()["said"]
+
+
+def turned_mounts(axis, degrees, *devices):
+    """A bench file with turned mounts, and devices that are mounted straight."""
+    straight = (1.0, 0.0, 0.0, 0.0)
+    keys = [f"{device}.mount_rotation_wxyz" for device in devices]
+    return {k: turned(axis, degrees)(straight) for k in keys} | {f"emulation.{k}": straight for k in keys}
+
+
+@pytest.mark.parametrize(
+    ("profile", "mounts"),
+    [
+        ("emulated_floor", ("z", 90.0, "tracker")),
+        pytest.param("emulated_floor", ("z", 180.0, "tracker"), marks=pytest.mark.long),
+        ("emulated", ("x", 90.0, "tracker", "imu")),
+    ],
+)
+def test_turned_mounts_that_gravity_does_not_show_are_not_blamed_on_wheels(tmp_path, profile, mounts):
+    """Without motion capture, and about the vertical: gravity is right, and so is every wheel."""
+    overrides = turned_mounts(*mounts) | {"mocap": None}
+    parameters = BRIEF | {"devices": "servos,encoders,imu,tracker"}
+    done = run("bring_up", tmp_path / "run", parameters, bench=profile, overrides=overrides)
+    assert done.result.exit_code == 1
+    notes = "".join(done.result.facts["notes"])
+    assert [f"{device}.mount_rotation_wxyz" in notes for device in mounts[2:]] == [True] * len(mounts[2:])
+    assert not [key for key in ("drive_sign", "steer_sign", "encoders.sign", "drive_ids") if key in notes]
+
+
+@pytest.mark.parametrize("wrong", [{"drive_sign": [-1] * 4}, {"steer_sign": [-1] * 4}])
+def test_wheels_that_all_go_the_wrong_way_are_not_blamed_on_the_camera(tmp_path, wrong):
+    overrides = {f"alignment.{key}": value for key, value in wrong.items()} | {"mocap": None}
+    parameters = BRIEF | {"devices": "servos,imu,tracker"}
+    done = run("bring_up", tmp_path / "run", parameters, bench="emulated_floor", overrides=overrides)
+    notes = "".join(done.result.facts["notes"])
+    assert [f"alignment.{key}: [1, 1, 1, 1] fits" in notes for key in wrong] == [True]
+    assert "mount_rotation_wxyz" not in notes
 
 
 @pytest.mark.long
