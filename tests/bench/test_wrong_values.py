@@ -169,6 +169,27 @@ def test_one_wheel_of_another_radius_is_told_from_the_other_three(wheel, plant):
     assert rows["robot.wheel_radius_m"].state == "contradicted"
 
 
+@pytest.mark.parametrize(("said", "true"), [(0.25, 0.02), (0.02, 0.25)])
+def test_a_delay_is_told_from_a_scale(said, true):
+    """Its steps differ by a share of the speed, not of the way."""
+    key = "tracker.latency_s"
+    with opened({"loop.rate_hz": 100.0, **wrong(key, said, true)}) as bench:
+        start = bench.settle()
+        with contextlib.suppress(SafetyStop):
+            bench.drive(line(start, start + np.array([0.1, 0.0, 0.0]), speed_m_s=0.05), hold_s=0.5)
+    said = " ".join(row["what"] for row in bench.seen.rows())
+    assert (key in said, "tracker.scale" in said) == (True, False)
+
+
+def test_camera_and_imu_that_share_a_turned_plate_do_not_outvote_wheels_and_motion_capture():
+    turn, keys = turned("x", 180.0)(ONE), ["imu.mount_rotation_wxyz", "tracker.mount_rotation_wxyz"]
+    with opened(wrong(keys[0], turn, ONE) | wrong(keys[1], turn, ONE)) as bench:
+        start = bench.settle()
+        bench.drive(line(start, start + np.array([0.0, 0.0, 0.12])), feedback="odometry", hold_s=0.1)
+    assert set(keys) <= set(bench.seen.contradicting)
+    assert not {k for k in bench.seen.contradicting if k.startswith(("servos.", "robot.", "alignment."))}
+
+
 def test_left_for_right_shows_in_a_turn():
     bench = opened(wrong("servos.drive_ids", order(3, 2, 1, 0)((1, 2, 3, 4)), (1, 2, 3, 4)))
     with bench, pytest.raises(SafetyStop, match=r"servos\.drive_ids"):

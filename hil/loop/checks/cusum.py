@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from hil.core.clock import NS_PER_S
-from hil.loop.checks.wrong_parameter import Explanation, explained, explained_by_lever
+from hil.loop.checks.wrong_parameter import Explanation, explained, explained_by_delay, explained_by_lever
 
 STEP_NS = 58_000_000
 """Shortest interval between two comparisons."""
@@ -20,6 +22,8 @@ _TURNS_RAD_M = 1.0
 """Turn per metre from which the place of a sensor on the body moves it, more than its scale or mount."""
 _FROM_THE_START = 0.7
 """Share of all steps of a run that a wrong parameter has changed: all but the first."""
+_CLEARLY, _MOST_STEPS = 2.0, 600
+"""Factor by which a cause has to leave less unexplained than another; and number of steps that are kept."""
 _JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000
 
 
@@ -103,6 +107,7 @@ class Sum:
         self.size = 0.0
         self._sum = self._first = self._second = 0j
         self._rotated_rad = 0.0
+        self._gone: list[tuple[float, float]] = []
         self.since_ns = 0
         self._warned = False
 
@@ -133,6 +138,8 @@ class Sum:
             self.since_ns = t_ns
         self._rotated_rad += abs(cmath.phase(turned))
         self._first, self._second = (self._first + first) * turned, (self._second + second) * turned
+        if len(self._gone) < _MOST_STEPS:
+            self._gone.append((abs(self._second), abs(self._first) - abs(self._second)))
         total = self._sum + first - second
         if total.real < 0.0:
             total += min(backwards, -total.real)
@@ -150,28 +157,35 @@ class Sum:
         """Whether the devices differ by more than half of the warning limit."""
         return 2.0 * self.size > self._warn_at
 
-    def doubt(self, t_ns: int, pairs: Sequence[Sum]) -> Disagreement:
+    def doubt(self, t_ns: int, pairs: Sequence[Sum], borne_out: str = "") -> Disagreement:
         """The disagreement to report; grave only after a first report.
 
         Args:
             t_ns: present time.
             pairs: all sums of the same kind.
+            borne_out: device that agrees with one that is in none of them: the others do not outvote it.
         """
         grave, self._warned = self._warned, True
         source = alone(self, pairs)
         moved, unit = ("turned", "mrad") if self._turns else ("moved", "mm")
         one, other = (party.called for party in self._parties)
-        sure = confirmed(self, pairs, source)
+        defended = source == borne_out
+        if defended:
+            source = self.names[1 - self.names.index(source)]
+        sure = not defended and confirmed(self, pairs, source)
         called, against = (one, self.names[1]) if source == self.names[0] else (other, self.names[0])
-        causes = [found for name in ([source] if sure else [source, against]) if (found := self._cause(name))]
+        blamed = [(self, name) for name in ([source] if sure else [source, against])]
+        why = f"the others agree against {called}" if sure else self._why()
+        if defended:
+            why = f"another sensor agrees with {other if called == one else one}"
+            blamed = [(pair, name) for pair in pairs if against in pair.names for name in pair.names]
+        causes = [found for pair, name in blamed if name != borne_out and (found := pair._cause(name))]
         look = "; ".join(f"{found.key}, {found.text}" for found in causes)
         return Disagreement(
             source,
             f"in {(t_ns - self.since_ns) / NS_PER_S:.1f} s the robot {moved} "
             f"{1e3 * abs(self._first):.0f} {unit} by {one} and {1e3 * abs(self._second):.0f} {unit} by "
-            f"{other}: "
-            + (f"the others agree against {called}" if sure else self._why())
-            + (f"; look at {look}" if look else ""),
+            f"{other}: {why}" + (f"; look at {look}" if look else ""),
             grave,
             sure,
             abs(self._first - self._second),
@@ -188,7 +202,30 @@ class Sum:
             return None
         if not self._turns and self._rotated_rad > _TURNS_RAD_M * abs(other):
             return explained_by_lever(name, abs(own - other) / self._rotated_rad)
-        return explained(name, own / other, turns=self._turns)
+        found = explained(name, own / other, turns=self._turns)
+        if found is not None and found.factor and not self._is_scaled():
+            return explained_by_delay(name) if self._is_delayed() else None
+        return found
+
+    def _is_scaled(self) -> bool:
+        """Whether the difference grows with the way, clearly rather than with the speed."""
+        of_way, of_speed = self._unexplained()
+        return _CLEARLY * of_way <= of_speed
+
+    def _is_delayed(self) -> bool:
+        """Whether the difference grows with the speed, clearly rather than with the way."""
+        of_way, of_speed = self._unexplained()
+        return _CLEARLY * of_speed <= of_way
+
+    def _unexplained(self) -> tuple[float, float]:
+        """Squares that are left of the difference after one factor of the way, and after one of the speed.
+
+        A sensor with a wrong scale differs by a share of the way, a late one by the way of its delay.
+        """
+        way, off = np.array(self._gone).T
+        steps = np.diff(way, prepend=0.0)
+        of_way, of_speed = (off @ off - (off @ one) ** 2 / max(one @ one, 1e-12) for one in (way, steps))
+        return float(of_way), float(of_speed)
 
     def _why(self) -> str:
         if self.names != (CAMERA.name, WHEELS.name):

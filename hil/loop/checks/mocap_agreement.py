@@ -17,6 +17,8 @@ from hil.loop.checks.dead_reckoning import Kept, Track, WheelTrack, moved, rolle
 
 CAPTURE = MotionSource("mocap", "motion capture")
 GAP_NS = 300_000_000
+_TURNED_RAD, _ALIKE = 0.02, 0.3
+"""Turn from which motion capture can bear out the wheels, and share of it by which they may differ."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ class MocapAgreement:
         self._last: list[tuple[int, Kept, Kept] | None] = [None, None]
         self.ways_m = [0.0, 0.0]
         self._ways, self._errors, self._crept = [0j, 0j], [0j, 0j], 0j
+        self._turned_rad = self._turned_off_rad = 0.0
 
     def take(self, camera: tuple[PoseMeasurement, ...], capture: tuple[PoseMeasurement, ...]) -> None:
         """Add the poses of one cycle."""
@@ -105,6 +108,11 @@ class MocapAgreement:
         if wheels is not None:
             self._add_wheels(*wheels)
         return not (camera is None and wheels is None)
+
+    @property
+    def turns_with_wheels(self) -> bool:
+        """Whether the robot has turned clearly since `reset`, and the wheels turned with motion capture."""
+        return abs(self._turned_rad) > max(_TURNED_RAD, abs(self._turned_off_rad) / _ALIKE)
 
     def unseen(self, pair: Sum) -> bool:
         """Whether a pair includes wheels that may have slipped before the camera delivered poses."""
@@ -170,6 +178,8 @@ class MocapAgreement:
         if self._leaps[1].jumped(t_ns, abs(true - rolling), abs(turned - turning)):
             return
         self.ways_m[1] += far
+        self._turned_rad += turned
+        self._turned_off_rad += turned - turning
         self._go(1, was[1], rolling, true)
         self._crept += self._creep * far * cmath.rect(1.0, was[1].real)
         allowed = h.path * far + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose

@@ -236,8 +236,10 @@ class MotionCheck:
         found = []
         for pairs in (self._ways, self._turns):
             believed = [one for one in pairs if self._left_out.isdisjoint(one.names)]
+            turns = pairs is self._turns and self.capture.turns_with_wheels
+            borne_out = WHEELS.name if turns and not self._left_out else ""
             found += [
-                replace(one.doubt(t_ns, believed), unseen=self.capture.unseen(one))
+                replace(one.doubt(t_ns, believed, borne_out), unseen=self.capture.unseen(one))
                 for one in believed
                 if one.news()
             ]

@@ -26,6 +26,7 @@ _OF_TURNS = {
 _MIRRORED = {**_OF_TURNS, "servos": "servos.drive_ids, robot.wheel_x_m, robot.wheel_y_m"}
 
 
+_OF_DELAY = {"tracker": "tracker.latency_s", "mocap": "mocap.transit_s"}
 _OF_LEVER = {"tracker": "tracker.mount_position_m", "mocap": "mocap.body"}
 _LEVERS_M = (0.03, 0.5)
 """Places on the body that a robot's sensors can be wrong by, and that are known no better."""
@@ -71,6 +72,16 @@ def explained(source: str, ratio: complex, *, turns: bool) -> Explanation | None
     opposite = abs(abs(angle_rad) - math.pi) <= _TURNED_RAD
     key = (_OF_DIRECTION if opposite else _OF_AXES).get(source, "")
     return Explanation(key, f"which turns it by {math.degrees(angle_rad):+.0f} deg") if key else None
+
+
+def explained_by_delay(source: str) -> Explanation | None:
+    """The delay of a sensor whose difference grows with the speed, not with the way; None for none."""
+    key = _OF_DELAY.get(source, "")
+    return (
+        Explanation(key, "which moves its steps in time: the difference grows with the speed")
+        if key
+        else None
+    )
 
 
 def explained_by_lever(source: str, lever_m: float) -> Explanation | None:
