@@ -114,6 +114,8 @@ def test_an_imu_of_another_world_or_without_servos_says_nothing_of_the_robot(mon
         ("emulated", 80.0, "unconfirmed"),
         ("emulated", 130.0, "contradicted"),
         ("emulated_floor", 30.0, "contradicted"),
+        ("emulated_floor", 14.0, "contradicted"),
+        ("emulated_floor", 7.0, "unconfirmed"),
     ],
 )
 def test_a_floor_for_a_wall_and_a_wall_for_a_floor_are_contradicted(profile, degrees, state):
