@@ -249,7 +249,8 @@ class AdhesionWatch(Check):
             stop(
                 "utilisation",
                 f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
-                f"{100 * self.limits.utilisation:.0f} %: {message}{self._weak_push()}{self._way_out()}",
+                f"{100 * self.limits.utilisation:.0f} %: {message}{self._weak_push()}; it is computed with "
+                f"{', '.join(self.limits.load_keys)}{self._way_out()}",
             )
 
     def _way_out(self) -> str:

@@ -72,6 +72,12 @@ class AdhesionLimits:
         return self.fan is not None
 
     @property
+    def load_keys(self) -> tuple[str, ...]:
+        """Keys of the bench file from which the load of each wheel is computed, beside the measured force."""
+        pushed = ("thrust.full_force_n",) if self.full_thrust_n > 0.0 else ()
+        return "robot.mass_kg", "robot.centre_of_mass_m", "environment.friction", *pushed
+
+    @property
     def asked_share(self) -> float:
         """Multiple of the needed force below which no wheel may move."""
         both = self.has_fan and self.zero_n is not None
