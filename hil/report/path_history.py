@@ -31,6 +31,7 @@ class PathHistory(Sink):
     """Collects reference, estimate and true position, twenty times a second, across all benches of a run.
 
     The true position is that of the emulated robot if it lives in this process, else of motion capture.
+    The estimate is left out where nothing is asked of the wheels: it may have begun anywhere then.
     """
 
     def __init__(self) -> None:
@@ -44,7 +45,8 @@ class PathHistory(Sink):
         if not self._driven.is_due(t_ns):
             return
         reference = _NOWHERE if record.reference is None else _position(record.reference.pose_in_wall)
-        estimate = _position(record.state.pose_body_in_wall)
+        asked = record.reference is not None or record.setpoint.wheel_rate_rad_s.any()
+        estimate = _position(record.state.pose_body_in_wall) if asked else _NOWHERE
         self._driven.add(t_ns, *reference, *estimate, *_true_position(record))
 
     def follow(self, later: PathHistory) -> None:

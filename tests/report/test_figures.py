@@ -7,12 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import hil
 from hil.procedure.tracking_errors import path_figure, series
 from hil.report.calibration_page import _parameters
 from hil.report.hover_data import taken_out
 from hil.report.page_figures import save_figure
+from hil.report.path_history import PathHistory
 from hil.report.plot_style import MOST_POINTS, kept_rows, new_figure, plain_log, style, thin
 from hil.report.replay_page import _path
+from hil.robot.trajectories import line
 
 LONG = 25_003
 
@@ -145,3 +148,21 @@ def test_an_interval_without_an_end_in_the_frame_has_an_arrow_there(unknown):
     assert (arrows[6].get_ydata()[0], arrows[7].get_ydata()[0]) == (high, low)
     assert "Arrows: the interval goes on" in drawn.caption
     assert "how far the fit may go" in drawn.caption
+
+
+def test_an_estimate_that_began_anywhere_is_not_drawn_beside_the_path():
+    """The robot stands half a metre from the origin, is driven, and is only observed from there on."""
+    history = PathHistory()
+    with hil.open_bench("emulated_floor", overrides={"environment.start_pose": [0.4, 0.3, 0.0]}) as bench:
+        for records in (
+            bench.drive(line([0.4, 0.3, 0.0], [0.44, 0.3, 0.0], duration_s=2.0), hold_s=0.2).records,
+            bench.observe(0.5, start_pose=[0.0, 0.0, 0.0]).records,
+        ):
+            assert abs(records[-1].truth["pose_body_in_wall"][0] - 0.44) < 0.01
+            for record in records:
+                history.write(record)
+    _, distances = history.figure().axes
+    for drawn in distances.get_lines():
+        apart_mm = np.array(drawn.get_ydata())
+        assert np.isfinite(apart_mm).any()
+        assert np.nanmax(apart_mm) < 50.0
