@@ -200,6 +200,30 @@ class Injection:
         return tuple(fault for fault in self._given if str(fault) in missed)
 
 
+def with_chips(
+    rows: Sequence[dict[str, object]], faults: Sequence[Fault], end_ns: int
+) -> list[dict[str, object]]:
+    """Rows of `Injection.report` and like ones of the faults at the chips of emulated devices.
+
+    Args:
+        rows: rows of the faults of real devices.
+        faults: all faults of the bench.
+        end_ns: time at which the bench was closed, ns since it was opened.
+    """
+    there = {row["fault"] for row in rows}
+    return [*rows, *(_at_the_chip(fault, end_ns) for fault in faults if str(fault) not in there)]
+
+
+def _at_the_chip(fault: Fault, end_ns: int) -> dict[str, object]:
+    return {
+        "fault": str(fault),
+        "at": "chip",
+        "begun_s": fault.start_ns / NS_PER_S if fault.start_ns <= end_ns else None,
+        "ended_s": min(fault.end_ns or end_ns, end_ns) / NS_PER_S,
+        "messages": None,
+    }
+
+
 def was_missed(row: Mapping[str, object]) -> bool:
     """Whether a fault of `Injection.report` has begun and hit no message, or was not done by hand."""
     return row["messages"] == 0 and (row["begun_s"] is not None or row["at"] == "hand")

@@ -76,6 +76,17 @@ def event_line(row: Mapping[str, Any]) -> str:
     return f"{row['t_s']:.2f} s, {row['level']}, {row['device']}: {row['what']}{again}"
 
 
+def injected_line(row: Mapping[str, Any]) -> str:
+    """One line of text of a row of `hil.bench.injection.with_chips`."""
+    where = "by hand" if row["at"] == "hand" else f"at the {row['at']}"
+    if row["at"] != "chip":
+        where += " of the real device"
+    if row["begun_s"] is None:
+        return f"{row['fault']} {where}: it did not begin"
+    hit = "" if row["messages"] is None else f", {row['messages']} messages hit"
+    return f"{row['fault']} {where}: {row['begun_s']:.2f} to {row['ended_s']:.2f} s{hit}"
+
+
 def event_lines(rows: Sequence[Mapping[str, Any]], most: int = 12) -> list[str]:
     """Lines of text of the first rows, and how many further ones there are."""
     lines = [event_line(row) for row in rows[:most]]

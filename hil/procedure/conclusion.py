@@ -1,16 +1,14 @@
 """Concludes a run: its errors with name and step, its verdict, and the facts of `result.json`."""
 
 import errno
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from hil.bench.hold.held_state import untouched
-from hil.bench.injection import nothing_hit, was_missed
+from hil.bench.injection import nothing_hit, was_missed, with_chips
 from hil.bench.unreached_faults import not_begun, not_met_in_words
 from hil.config.device_place import device_place
 from hil.core.call_chain import as_json, chain_of, place_of
-from hil.core.clock import NS_PER_S
 from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
 from hil.faults.fault import Fault
 from hil.procedure.context import Context
@@ -146,31 +144,12 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
         "faults_not_met": list(map(str, missed)),
-        "injected": _injected(planned, benches),
+        "injected": with_chips(benches.injected, planned, benches.world_ns),
         "notes": findings.notes + context.results.set_again() + reported,
         "events": benches.left.events,
         "taken_for_granted": [row.to_json() for row in benches.granted.values()],
         "held": _held(benches),
     }
-
-
-def _injected(planned: Sequence[Fault], benches: RunBenches) -> list[dict[str, object]]:
-    """Return what was injected: at the chip of an emulated device, or at the link of a real one."""
-    rows: list[dict[str, object]] = list(benches.injected)
-    at_links = {row["fault"] for row in benches.injected}
-    at_chips = [fault for fault in planned if str(fault) not in at_links]
-    end_s = benches.world_ns / NS_PER_S
-    rows += [
-        {
-            "fault": str(fault),
-            "at": "chip",
-            "begun_s": begun_s if (begun_s := fault.start_ns / NS_PER_S) <= end_s else None,
-            "ended_s": end_s if fault.end_ns is None else min(fault.end_ns / NS_PER_S, end_s),
-            "messages": None,
-        }
-        for fault in at_chips
-    ]
-    return rows
 
 
 def _held(benches: RunBenches) -> dict[str, object]:

@@ -34,7 +34,7 @@ NOT_HELD = "not_held"
 _KEPT = "kept"
 ATTEMPT = pytest.StashKey[int]()
 """Number of the attempt at a test, from 1: plugins such as pytest-rerunfailures repeat a test that failed."""
-OF_A_BENCH = ("bench", "calibration_version", "seed", "emulated", "fault", "controller", "held")
+OF_A_BENCH = ("bench", "calibration_version", "seed", "emulated", "fault", "controller", "injected", "held")
 """Properties of a bench in a report."""
 _OPENED = pytest.StashKey["Bench"]()
 _PASSED = pytest.StashKey[bool]()
@@ -307,7 +307,7 @@ def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
 
     The report of the test then contains how the robot was left.
     """
-    from hil.pytest_plugin.bench_selection import opened
+    from hil.pytest_plugin.bench_selection import injected, opened
     from hil.pytest_plugin.test_outcome import end
 
     item = request.node
@@ -315,6 +315,7 @@ def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
     with opened(item) as found:
         item.stash[_OPENED] = found
         yield found
+    item.user_properties += injected(found)
     end(item, found, passed=item.stash[_PASSED])
 
 

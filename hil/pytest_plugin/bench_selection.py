@@ -15,6 +15,7 @@ import pytest
 from hil.config.bench import BenchConfig
 from hil.config.several_devices import resolve_device
 from hil.core.errors import HilError, UsageError
+from hil.core.event_rows import injected_line
 from hil.core.registry import kind_of, kinds, which_device
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.controllers import driven
@@ -146,8 +147,16 @@ def properties_of(bench: Bench) -> list[tuple[str, object]]:
         ("seed", bench.seed),
         ("emulated", ",".join(bench.config.emulated()) or "none"),
         *(("fault", str(fault)) for fault in bench.faults),
-        *([("held", bench.held.state)] if bench.held.opened and not bench.is_open else []),
+        *([] if bench.is_open else [*injected(bench), *([("held", bench.held.state)] * bench.held.opened)]),
     ]
+
+
+def injected(bench: Bench) -> list[tuple[str, object]]:
+    """Return a property for each fault of a closed bench: where it was injected, when, what it has hit."""
+    from hil.bench.injection import with_chips
+
+    rows = with_chips(bench.injection.report(), bench.faults, bench.world_ns)
+    return [("injected", injected_line(row)) for row in rows]
 
 
 def skip_where_impossible(item: pytest.Item) -> None:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a process without teardown, as a CI runner, or a terminal that is closed, sends them."""
+_CLOSED = ("injected", "held")
+"""Properties of a bench that is closed."""
 _OPENED = pytest.StashKey["list[OpenedBench]"]()
 
 
@@ -126,10 +128,10 @@ def _add(
         entries: properties of this bench.
     """
     for group in groups:
-        has_held = any(name == "held" for name, _ in group)
+        is_closed = any(name in _CLOSED for name, _ in group)
         there = {(name, str(value)) for name, value in group}
         missing = [entry for entry in entries if (entry[0], str(entry[1])) not in there]
-        if not missing or (group and not has_held and all(name == "held" for name, _ in missing)):
+        if not missing or (group and not is_closed and all(name in _CLOSED for name, _ in missing)):
             report.user_properties += missing
             group += missing
             return

@@ -12,6 +12,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
+from hil.core.event_rows import injected_line
 from hil.core.rounding import digits_apart
 from hil.report.page_figures import theme
 
@@ -32,6 +33,7 @@ def environment() -> Environment:
     env = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True, trim_blocks=True)
     env.filters["number"] = number
     env.filters["duration"] = duration
+    env.filters["injected"] = injected_line
     script = files("hil.report").joinpath("templates/figure.js").read_text("utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     env.globals |= {
