@@ -19,7 +19,7 @@ from hil.core.signals import Status as SampleStatus
 from hil.core.signals import worst
 from hil.fan_daemon import client
 from hil.fan_daemon.client import Status, of_whom
-from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.fan_control import RELEASE, SetPoint
 from hil.fan_daemon.server import is_on, running_daemons, socket_name
 from hil.fan_daemon.spec import Spec
 from hil.support.port_users import Program, ending, named, running
@@ -129,7 +129,7 @@ def switch_on(
             now = _first_report(fan, clock)
         asked_n = wanted_n if duty is None else duty_n(table, duty, now)
         must_be_enough(config, max(forces_now_n(table, now)), asked_n)
-    before = (daemon_status(daemon_spec(config)) or {}).get("sent") if known else None
+    before = (daemon_status(daemon_spec(config)) or {}).get("target") if known else None
     fan.open()
     with contextlib.closing(fan):
         _first_report(fan, clock)  # a running fan starts from there
@@ -163,12 +163,13 @@ def switch_on(
 
 
 def _take_back(config: BenchConfig, before: Any, known: bool) -> None:
-    """Go back to how the fan ran before; one that was at rest comes to rest."""
+    """Go back to the set-point of before, not to where its ramp then was; a fan without one comes to rest."""
     connection = client.connect(daemon_spec(config)) if known else None
     if connection is None:
         return
     why = "it was at rest before, and its measurements contradict each other"
-    request = client.off_request(why) if before is None else client.set_request(SetPoint(*before))
+    point = RELEASE if before is None else SetPoint(*before)
+    request = client.set_request(point) if point.value > 0.0 else client.off_request(why)
     with connection:
         client.ask(connection, request, daemon_spec(config))
 

@@ -455,3 +455,19 @@ def test_a_fan_of_which_one_measurement_says_less_is_not_taken_for_less(monkeypa
     fan = config.devices()["adhesion"]
     assert max(fan_interlock.forces_now_n(fan, fan_says(15_000.0, 0.83, 22.0))) > 40.0
     assert fan_interlock.duty_n(fan, 0.83, fan_says(60_000.0, 0.83, 22.0)) < 50.0
+
+
+def test_a_fan_that_is_taken_back_goes_to_its_set_point_of_before_not_to_a_place_on_its_ramp(
+    served, hil, tmp_path
+):
+    wrong, before = tmp_path / "wrong.toml", SetPoint("duty", 0.7)
+    wrong.write_text(served.read_text().replace("[adhesion]\n", "[adhesion]\npole_pairs = 7\n"))
+    assert hil("adhesion", "on", "--bench", served, "--force", "20", "--tethered")[0] == 0
+    spec = daemon_spec(load_bench(str(served)))
+    with client.connect(spec) as connection:
+        on_ramp = client.ask(connection, client.set_request(before), spec)["sent"]
+        code, _, err = hil("adhesion", "on", "--bench", wrong, "--force", "45", "--tethered")
+        aim = client.ask(connection, {"do": "status"}, spec)["target"]
+    assert (code, "pole_pairs" in err) == (3, True)
+    assert on_ramp[1] < 0.6
+    assert aim == ["duty", pytest.approx(before.value, rel=0.05)]

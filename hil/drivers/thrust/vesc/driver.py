@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-from typing import Any
 
 import can
 
@@ -17,7 +16,7 @@ from hil.drivers.motor_controllers.daemon_motor import DaemonMotor
 from hil.drivers.motor_controllers.vesc_identity import BusReplies, discover_controllers
 from hil.drivers.motor_controllers.vesc_settings import Answers
 from hil.fan_daemon.commander import MakeCommander, finding
-from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.fan_control import RELEASE, SetPoint
 from hil.fan_daemon.spec import Spec
 from hil.links.vesc import Packet, Status5, address, decode
 from hil.links.vesc import Status as Report
@@ -75,7 +74,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         self._doubts, self._trouble, self._share = 0, "", math.nan
         self._wish: SetPoint | None = None
         self._wished_ns = self._watched_ns = 0
-        self._before: Any = None
+        self._before = RELEASE
 
     def _greet(self, spec: Spec) -> dict[str, str]:
         self._known = {motor.controller_id: self._met(motor, spec) for motor in self._config.motors()}
@@ -159,6 +158,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         """Note the controllers whose reports contradict each other."""
         wrong = [f"controller {one}: {check.text}" for one, check in found if check.text]
         self._doubts = self._doubts + 1 if wrong else 0
+        wrong += ["the new set-point waits until they agree"] * (bool(wrong) and self._wish is not None)
         if not wrong or self._doubts >= _DOUBTS:
             self._trouble = "; ".join(wrong)
 
@@ -168,18 +168,19 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         What runs may carry the robot: it is changed only once voltage and speed have been compared.
         """
         commander = self._must_be_open()
-        sent = commander.status().get("sent")
         if self._wish is not None:
             if self._share <= _RUNNING or self._compared(now_ns):
+                before = commander.status().get("target") or RELEASE
                 with contextlib.suppress(DeviceError):  # the daemon has no report of them yet
                     commander.set(self._wish)
-                    self._wish, self._before, self._watched_ns = None, sent, now_ns + _WATCHED_NS
+                    self._wish, self._before = None, SetPoint(*before)
+                    self._watched_ns = now_ns + _WATCHED_NS
         elif now_ns < self._watched_ns and self._doubts >= _DOUBTS:
             self._watched_ns = 0
-            if self._before is None:
-                commander.end("they were at rest before, and their reports contradict each other")
+            if self._before.value > 0.0:
+                commander.set(self._before)
             else:
-                commander.set(SetPoint(*self._before))
+                commander.end("they were at rest before, and their reports contradict each other")
 
     def _compared(self, now_ns: int) -> bool:
         """Whether voltage and speed agree at a steady speed, or cannot be compared."""
