@@ -239,7 +239,7 @@ def save_calibration(path: Path, file: CalibrationFile) -> None:
     _check_possible(file, f"{path}: not written, no robot can be driven with this calibration")
     text = tomli_w.dumps(file.model_dump(mode="python", by_alias=True, exclude_none=True))
     try:
-        put_whole(path, text.encode())
+        put_whole(path.resolve(), text.encode())  # a link stays one
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({reason_of(error)})") from None
 

@@ -139,7 +139,7 @@ class CalibrationVersions:
         if self.path.exists():
             keep(self.path)
         try:
-            put_whole(self.path, chosen.path.read_bytes())
+            put_whole(self.path.resolve(), chosen.path.read_bytes())
         except OSError as error:
             raise ConfigError(f"{self.path}: cannot be written ({reason_of(error)})") from None
         return KeptVersion(chosen.path, chosen.file, in_place=True)

@@ -15,6 +15,7 @@ cycle, as numbered in both modules:
 10. sleep until the next deadline.
 """
 
+import logging
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -38,6 +39,8 @@ from hil.loop.checks.loop_pause import HELD_UP, HELD_UP_NS, stood_still
 from hil.loop.device_set import DeviceSet
 from hil.loop.pipeline import OUTSIDE, ControlPipeline
 from hil.loop.timing import Laps, LoopStatistics
+
+LOG = logging.getLogger(__name__)
 
 
 class ControlLoop:
@@ -231,4 +234,7 @@ class ControlLoop:
                 external=self.pipeline.heard,
             )
             for sink in self.sinks:
-                sink.write(record)
+                try:
+                    sink.write(record)
+                except Exception:  # the reason of the stop is raised
+                    LOG.exception("%s: the cycle that stops the robot is not written", type(sink).__name__)

@@ -148,6 +148,33 @@ def test_a_force_that_cannot_be_meant_is_refused_and_the_push_goes_on(force_n):
         assert sum(node.fan.force_n for node in nodes) > 18.0
 
 
+def test_a_set_point_is_taken_back_to_the_one_before_not_to_a_place_on_its_ramp():
+    config = VescThrustConfig()
+    with made(faults=["thrust:wrong@0.5,factor=1.5"]) as (_, clock, _, driver, bus):
+        driver.open()
+        after(driver, clock, 0.3)
+        driver.set_force_n(20.0)
+        driver.set_force_n(35.0)
+        after(driver, clock, 8.0)
+        erpm = int.from_bytes(orders(bus)[-1][1], "big")
+    assert erpm == pytest.approx(config.pole_pairs * config.speed_for_rpm(20.0), rel=0.01)
+
+
+def test_a_set_point_that_waits_for_reports_that_agree_is_told():
+    with made(faults=["thrust:wrong@0,factor=1.5"], start="running", timeout_s=30.0) as (
+        _,
+        clock,
+        _,
+        driver,
+        _,
+    ):
+        driver.open()
+        after(driver, clock, 1.0)
+        driver.set_force_n(35.0)
+        newest = after(driver, clock, 2.0)[-1]
+    assert "waits" in newest.trouble
+
+
 def test_one_controller_that_falls_silent_is_named():
     with made() as (_, clock, nodes, driver, _):
         driver.open()
@@ -194,6 +221,16 @@ def test_propellers_that_do_not_come_up_leave_the_servos_without_torque():
     weak = {**ON_VESCS, "emulation.thrust.start": "off", "emulation.thrust.highest_a": 1.0}
     bench = hil.open_bench("emulated", seed=1, overrides=weak)
     with pytest.raises(SafetyStop, match=r"pushed up with \d+.\d N of 22.3") as caught:
+        bench.__enter__()
+    assert caught.value.reason == "adhesion"
+    assert bench.world.plant.by_hand
+
+
+def test_load_cells_whose_readings_are_old_press_nothing():
+    """While the propellers came up, a reading of before the cells froze once counted until torque came on."""
+    slow = {**ON_VESCS, "emulation.thrust.start": "off"}
+    bench = hil.open_bench("emulated", seed=1, faults=["load_cells:stuck@0.6"], overrides=slow)
+    with pytest.raises(SafetyStop) as caught:
         bench.__enter__()
     assert caught.value.reason == "adhesion"
     assert bench.world.plant.by_hand

@@ -5,6 +5,7 @@ import threading
 import pytest
 
 import hil
+from hil.core.errors import SafetyStop
 from hil.core.interfaces import Sink
 from hil.drivers.servos.dynamixel.keep_alive import KeepAlive
 
@@ -33,6 +34,22 @@ def test_a_sink_that_fails_keeps_no_robot_from_being_checked(where, caplog):
     assert bench.held.state == "HELD"
     assert not bench.devices.servos.identity()
     assert caplog.text.count("Fails has failed: RuntimeError: disk full") == 1
+
+
+def test_a_sink_that_fails_at_the_stop_does_not_hide_its_reason(caplog):
+    class FailsAtTheStop(Sink):
+        def write(self, record):
+            if any(event.level == "error" for event in record.events):
+                raise RuntimeError("disk full")
+
+        def close(self):
+            pass
+
+    with hil.open_bench("emulated_floor", seed=1, faults=["servos:silent@1.0"]) as bench:
+        bench.add_sink(FailsAtTheStop())
+        with pytest.raises(SafetyStop, match="stale_servos"):
+            bench.observe(2.0)
+    assert "disk full" in caplog.text
 
 
 def test_a_fan_that_cannot_be_raised_keeps_no_robot_from_being_checked(caplog):

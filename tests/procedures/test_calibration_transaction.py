@@ -70,6 +70,17 @@ def test_a_file_that_was_written_by_hand_is_kept_before_another_takes_its_place(
     assert versions.rollback().file.parameters.r_m[0] == 0.0250
 
 
+def test_a_calibration_that_is_a_link_stays_one(versions, tmp_path):
+    target = tmp_path / "shared.toml"
+    versions.path.symlink_to(target)
+    save_calibration(versions.path, made(0.0250))
+    versions.apply(versions.add(made(0.0251)).file.version)
+    assert radius(target) == 0.0251
+    versions.rollback()
+    assert versions.path.is_symlink()
+    assert radius(target) == 0.0250
+
+
 KILLED = """
 import resource, signal, sys
 from pathlib import Path

@@ -26,6 +26,7 @@ _TETHERED_SHARE = 0.9
 _PUSHES = 0.9
 """Share of the set-point from which propellers count as running."""
 _NO_SAMPLE_NS = nanoseconds(1.0)
+"""Time for which a reading counts, and for which a first one is waited for."""
 
 
 class Preload:
@@ -40,6 +41,7 @@ class Preload:
     def __init__(self, config: BenchConfig, devices: DeviceSet, clock: Clock) -> None:
         self._config, self._devices, self._clock = config, devices, clock
         self._limits = adhesion_limits(config)
+        self._seen: dict[str, tuple[int, float]] = {}
         self._seen_n: dict[str, float] = {}
         self._measured = None if self._limits is None else MeasuredForces(self._limits)
         self._push_trouble = ""
@@ -186,10 +188,12 @@ class Preload:
             return math.nan
         assert self._measured is not None
         for name in MEASURES:
-            newest = {n: force_n for n, _, force_n in self._measured.take(self._samples(name))}
+            newest = {n: (t_ns, force_n) for n, t_ns, force_n in self._measured.take(self._samples(name))}
             if SPEED in newest or VOLTAGE in newest:
-                self._seen_n = {n: f for n, f in self._seen_n.items() if n == CELLS}
-            self._seen_n.update(newest)
+                self._seen = {n: seen for n, seen in self._seen.items() if n == CELLS}
+            self._seen.update(newest)
+        old_ns = self._clock.now_ns() - _NO_SAMPLE_NS
+        self._seen_n = {n: force_n for n, (t_ns, force_n) in self._seen.items() if t_ns > old_ns}
         heard = bool(self._seen_n.keys() - {CELLS})
         complete = heard >= limits.has_fan and (CELLS in self._seen_n) >= (limits.zero_n is not None)
         return self._believed().force_n if complete else math.nan
