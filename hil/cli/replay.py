@@ -163,9 +163,8 @@ def command(
         if page is not None:
             _write(result, lambda: _write_verification(page, opened, result))
     else:
-        runs = list(opened.runs) if number is None else [opened.run(number)]
-        result["cycles"] = sum(len(r.records) for r in runs)
-        run = max(runs, key=lambda r: len(r.records))
+        run = opened.run(number)
+        result["cycles"] = sum(opened.lengths) if number is None else len(run.records)
         sensors = sensors_with_samples(r.measurements for r in run.records)
         result["sensors"], result["note"] = sensors, sensors_text(opened.bench, sensors)
         slip, over = opened.slip, over_m or RELATIVE_M

@@ -106,7 +106,7 @@ def _write_page(page: Path, recording: Path, title: str, facts: Sequence[str], s
     from hil.report.replay_page import write_replay_page
 
     opened = open_recording(recording)
-    run = max(opened.runs, key=lambda found: len(found.records))
+    run = opened.run()
     motions = compare_run(run, opened.bench, (), source=str(recording))
     events = [event.message for record in run.records for event in record.events if event.level == "error"]
     write_replay_page(

@@ -1,9 +1,10 @@
 """Recordings played back through the pipeline: the bench they were made on, and the runs they hold."""
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -51,11 +52,12 @@ class OpenedRecording:
 
     Attributes:
         foreign: True for one of other origin: wheels and ground truth, nothing estimated.
-        problems: parts that could not be read; complete after `runs` was read.
+        problems: parts that could not be read; complete after `runs` or `run` was read.
         robot: nominal robot whose wheels a foreign recording is read for.
         tables: recordings read from a foreign one; complete after `runs` was read.
         named: True if the user has named the bench of a foreign recording.
         failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
+        lengths: number of cycles of each run that `run` has read.
     """
 
     path: Path
@@ -68,6 +70,7 @@ class OpenedRecording:
     tables: list[Recording] = field(default_factory=list)
     named: bool = True
     failed: str = ""
+    lengths: list[int] = field(default_factory=list)
 
     @cached_property
     def runs(self) -> Sequence[RecordedRun]:
@@ -76,10 +79,27 @@ class OpenedRecording:
         self.must_hold(len(found), None)
         return found
 
-    def run(self, number: int) -> RecordedRun:
-        """One run by its number from 0; raises `UsageError` when there are fewer."""
-        self.must_hold(len(self.runs), number)
-        return self.runs[number]
+    def run(self, number: int | None = None) -> RecordedRun:
+        """One run by its number from 0, by default the longest; the others do not stay in memory.
+
+        Raises:
+            DataError: there is no run.
+            UsageError: there is none of that number.
+        """
+        self.lengths.clear()
+        runs = map(self._counted, self.read())
+        if number is None:
+            found = max(runs, key=lambda one: len(one.records), default=None)
+        else:
+            found = next(islice(runs, number, None), None)
+            deque(runs, maxlen=0)  # problems are those of the whole recording
+        self.must_hold(len(self.lengths), number)
+        assert found is not None
+        return found
+
+    def _counted(self, run: RecordedRun) -> RecordedRun:
+        self.lengths.append(len(run.records))
+        return run
 
     def warnings(self) -> list[str]:
         """Warnings: a failed calibration; assumptions about a foreign recording; wrong wheels."""

@@ -94,7 +94,7 @@ def test_a_page_that_the_disk_does_not_take_costs_no_figure(
 
 def test_each_sensor_has_the_noise_that_it_has(recording):
     """Mean NIS per row of wheels, gyro and camera over the whole run, on the profile as it is shipped."""
-    run = max(open_recording(recording).runs, key=lambda r: len(r.records))
+    run = open_recording(recording).run()
     motion = Motion(tuple(run.records))
     for name, rows in (("wheels", 8), ("gyro", 1), ("tracker", 3)):
         assert 0.7 < np.nanmean(motion.diagnostic(f"nis_{name}")) / rows < 1.4, name

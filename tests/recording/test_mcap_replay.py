@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import weakref
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from mcap_cases import driving_record
 
 from hil.bench.pipelines import BenchModel
 from hil.config.loading import load_bench
-from hil.core.errors import DataError, SafetyStop
+from hil.core.errors import DataError, SafetyStop, UsageError
 from hil.core.geometry import compose, se2_exp
 from hil.core.interfaces import Controller, Estimator
 from hil.core.known_names import COMPARED
@@ -25,6 +26,7 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs
 from hil.replay.difference_limits import Agreement
 from hil.replay.estimator_comparison import compare, compare_run, consistency, table, truth_of
+from hil.replay.recordings import OpenedRecording
 from hil.replay.truth_errors import errors
 from hil.replay.verification import DIFFERS, IDENTICAL, RecordedReferences, verify_cycle
 from hil.report.replay_page import write_replay_page
@@ -171,6 +173,25 @@ def test_runs_without_a_note_are_distinguished_by_their_cycle_numbers(tmp_path):
     runs = list(read_runs(path))
     assert [len(r.records) for r in runs] == [20, 10]
     assert all(r.start is None for r in runs)
+
+
+def test_the_longest_run_of_a_recording_is_read_without_all_the_others_in_memory(tmp_path):
+    path = recorded(tmp_path / "r", *(run(n, pipeline()) for n in (20, 40, 10, 30, 20)))
+    seen, most = [], []
+
+    def read():
+        for one in read_runs(path):
+            seen.append(weakref.ref(one))
+            most.append(sum(known() is not None for known in seen))
+            yield one
+
+    opened = OpenedRecording(path, None, {}, False, [], read)
+    assert len(opened.run().records) == 40
+    assert opened.lengths == [20, 40, 10, 30, 20]
+    assert max(most) <= 3  # the longest, the latest, the next
+    assert len(opened.run(3).records) == 30
+    with pytest.raises(UsageError, match="no run 5"):
+        opened.run(5)
 
 
 def test_an_unreadable_start_is_named(tmp_path):
