@@ -7,6 +7,7 @@ stderr and `exit_code`; it never shows a traceback for one of these.
 """
 
 import difflib
+import logging
 import math
 import os
 from collections.abc import Callable, Iterable
@@ -92,13 +93,21 @@ def error_text(error: BaseException) -> str:
     return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
 
 
-def failure_of(act: Callable[[], object]) -> str:
-    """Call a function whose failure must end nothing else; its exception in one line, empty for none."""
-    try:
-        act()
-    except Exception as error:
-        return error_text(error)
-    return ""
+class Aside:
+    """Calls functions whose failure must end nothing else; logs each failure once."""
+
+    def __init__(self) -> None:
+        self._told: set[str] = set()
+
+    def call(self, whose: str, act: Callable[[], object]) -> None:
+        """Call a function of `whose`; never raises an exception."""
+        try:
+            act()
+        except Exception as error:
+            text = f"{whose} has failed: {error_text(error)}"
+            if text not in self._told:
+                self._told.add(text)
+                logging.getLogger(__name__).warning(text)
 
 
 class ConfigError(HilError, ValueError):

@@ -1,10 +1,9 @@
 """Checks, before a bag is read, that a file of it is complete and of the right kind, and lists its topics."""
 
 from pathlib import Path
-from typing import BinaryIO
 
-from hil.core.errors import DataError, reason_of
-from hil.recording.mcap_scan import COPY_AGAIN, BagTopic, described_in, ends_early, topic_of
+from hil.core.errors import DataError, HilError, reason_of
+from hil.recording.mcap_scan import COPY_AGAIN, BagTopic, described_in, records_of, topic_of
 from hil.support.file_reading import must_be_file
 
 _MCAP, _SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
@@ -21,20 +20,14 @@ def check_bag(file: Path) -> list[BagTopic]:
     try:
         must_be_file(file)
         with file.open("rb") as stream:
-            return _check(file, stream)
+            head = stream.read(len(_SQLITE))
     except OSError as error:
         raise DataError(str(file), f"cannot be read ({reason_of(error)})") from None
-
-
-def _check(path: Path, stream: BinaryIO) -> list[BagTopic]:
-    """Check one file; SQLite files are left to their reader."""
-    head = stream.read(len(_SQLITE))
-    stream.seek(0)
     if head.startswith(_MCAP):
-        return _check_mcap(path, stream, path.stat().st_size)
-    if path.suffix == ".mcap":
-        raise DataError(str(path), f"is not an MCAP file: it is {_kind(head)}", remedy=_for_kind(head))
-    return []
+        return _check_mcap(file)
+    if file.suffix == ".mcap":
+        raise DataError(str(file), f"is not an MCAP file: it is {_kind(head)}", remedy=_for_kind(head))
+    return []  # a database is left to its reader
 
 
 def _kind(head: bytes) -> str:
@@ -54,24 +47,25 @@ def _for_kind(head: bytes) -> str:
     return CONVERT if head else COPY_AGAIN
 
 
-def _check_mcap(path: Path, stream: BinaryIO, size: int) -> list[BagTopic]:
+def _check_mcap(path: Path) -> list[BagTopic]:
     """Read all records, and check the chunks' checksums."""
     from mcap.records import Channel, Chunk, Schema
-    from mcap.stream_reader import StreamReader
 
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
+    problems: list[str] = []
     try:
-        for record in StreamReader(stream, emit_chunks=True, record_size_limit=size).records:
+        for _, record in records_of(path, problems):
             for part in described_in(record) if isinstance(record, Chunk) else (record,):
                 if isinstance(part, Schema):
                     schemas[part.id] = part
                 elif isinstance(part, Channel):
                     channels[part.id] = part
-    except Exception as error:  # the library may raise anything on damaged bytes
-        cut = f"it ends at byte {size}, within a record"
-        why = cut if ends_early(error) else str(error) or type(error).__name__
-        raise DataError(
-            str(path), f"is not a readable rosbag2 recording ({why})", remedy="repair it with `mcap recover`"
-        ) from None
+    except HilError:
+        raise
+    except Exception as error:  # the library may raise anything on a damaged chunk
+        problems.append(str(error) or type(error).__name__)
+    if problems:
+        why = f"is not a readable rosbag2 recording (it {problems[0]})"
+        raise DataError(str(path), why, remedy="repair it with `mcap recover`")
     return [topic_of(channel, schemas) for channel in channels.values()]

@@ -15,9 +15,9 @@ cycle, as numbered in both modules:
 10. sleep until the next deadline.
 """
 
-import logging
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,8 +39,6 @@ from hil.loop.checks.loop_pause import HELD_UP, HELD_UP_NS, stood_still
 from hil.loop.device_set import DeviceSet
 from hil.loop.pipeline import OUTSIDE, ControlPipeline
 from hil.loop.timing import Laps, LoopStatistics
-
-LOG = logging.getLogger(__name__)
 
 
 class ControlLoop:
@@ -234,7 +232,4 @@ class ControlLoop:
                 external=self.pipeline.heard,
             )
             for sink in self.sinks:
-                try:
-                    sink.write(record)
-                except Exception:  # the reason of the stop is raised
-                    LOG.exception("%s: the cycle that stops the robot is not written", type(sink).__name__)
+                self.devices.aside.call(type(sink).__name__, partial(sink.write, record))

@@ -1,20 +1,18 @@
 """All devices of a bench together: opened in order, read once per cycle, always closed."""
 
-import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
 from hil.core.clock import Clock
-from hil.core.errors import DeviceError, failure_of
+from hil.core.errors import Aside, DeviceError
 from hil.core.interfaces import Actuators, Device, Holding, Sensor
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, Inputs
 from hil.loop.checks.adhesion_limits import SlidePush
 from hil.support.lost_time import LostTime
 
-_LOG = logging.getLogger(__name__)
 _SLOW_NS = 10_000_000
 _NOTHING: tuple[Any, ...] = ()
 _NONE_LOST: Mapping[str, int] = {}
@@ -34,8 +32,8 @@ class DeviceSet:
             the robot (`DeviceKind.holds_robot`) are among them, and come first.
         lost: counts the time that this computer takes from the loop; None in virtual time.
         opening_ns: begin and end of each device's opening by the bench clock, ns; empty before it.
-        failures: errors of devices that could not be commanded to hold the robot, as texts.
         lowered_n: set-point of propellers that were lowered against a slide, N; inf where they were not.
+        aside: caller of what must not keep the robot from being held.
     """
 
     clock: Clock
@@ -45,7 +43,7 @@ class DeviceSet:
     disarm: Callable[[], None] = lambda: None
     lowered_n: float = math.inf
     opening_ns: dict[str, tuple[int, int]] = field(default_factory=dict)
-    failures: set[str] = field(default_factory=set)
+    aside: Aside = field(default_factory=Aside)
 
     def get(self, kind: str) -> Any:
         """The device of a kind; None if the bench has none."""
@@ -108,7 +106,7 @@ class DeviceSet:
         """Raise the force of all devices that hold the robot to the permitted maximum. Never raises."""
         for kind, device in self.sensors.items():
             if kinds()[kind].holds_robot:
-                self._told(kind, failure_of(cast("Holding[Any]", device).brace))
+                self.aside.call(kind, cast("Holding[Any]", device).brace)
 
     def push(self, push: SlidePush, *, falls: bool) -> str:
         """Command a force of the propellers against a slide. Never raises an exception.
@@ -131,14 +129,8 @@ class DeviceSet:
         force_n = min(push.force_n, self.lowered_n)
         if not push.raises:
             self.lowered_n = force_n
-        self._told("thrust", failure_of(lambda: propellers.set_force_n(force_n)))
+        self.aside.call("thrust", lambda: propellers.set_force_n(force_n))
         return ""
-
-    def _told(self, kind: str, failure: str) -> None:
-        """Log once that a device that holds the robot has failed: the others are commanded all the same."""
-        if failure and failure not in self.failures:
-            self.failures.add(failure)
-            _LOG.warning("%s could not be commanded: %s", kind, failure)
 
     def actuators(self) -> Actuators:
         """The servos. Raises `DeviceError` if the bench has none."""

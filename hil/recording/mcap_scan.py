@@ -251,17 +251,12 @@ def _must_be_mcap(path: Path, reached: int, error: Exception) -> None:
         )
 
 
-def ends_early(error: Exception) -> bool:
-    """Whether reading failed because a file has fewer bytes than its records say."""
-    from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
-
-    return isinstance(error, (EndOfFile, InvalidMagic, RecordLengthLimitExceeded, struct.error))
-
-
 def _damage(at: int, reached: int, error: Exception) -> str:
     """Description of damage after byte `at`; `reached` is the byte up to which the file was read."""
+    from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
+
     why = str(error)
-    if ends_early(error):
+    if isinstance(error, (EndOfFile, InvalidMagic, RecordLengthLimitExceeded, struct.error)):
         message = f"ends early at byte {reached} (writer killed, disk full, or damaged there)"
         return f"{message}: {why}" if why else message
     return f"is damaged after byte {at}: {why or type(error).__name__}"

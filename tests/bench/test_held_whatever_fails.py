@@ -59,7 +59,7 @@ def test_a_fan_that_cannot_be_raised_keeps_no_robot_from_being_checked(caplog):
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_500_000_000)
     assert bench.held.state == "NOT HELD"
     assert "not checked" not in bench.held.why
-    assert "adhesion could not be commanded: RuntimeError: disk full" in caplog.text
+    assert "adhesion has failed: RuntimeError: disk full" in caplog.text
 
 
 def test_a_fan_whose_driver_fails_keeps_no_robot_from_being_checked():

@@ -167,7 +167,8 @@ def test_where_a_cut_file_ends_is_named(bag, tmp_path, capsys, left):
     said = capsys.readouterr().err
     assert f"{file}: is not a readable rosbag2 recording (" in said
     assert "recording ()" not in said
-    assert f"it ends at byte {file.stat().st_size}, within a record" in said
+    assert "it ends early at byte" in said
+    assert str(file.stat().st_size) in said
     assert "mcap recover" in said
 
 

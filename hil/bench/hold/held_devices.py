@@ -20,7 +20,7 @@ from hil.bench.reconnect import reconnecting
 from hil.bench.seen_events import SeenEvents
 from hil.bench.unreached_faults import ended_before, not_begun, not_met_in_words
 from hil.core.clock import Clock
-from hil.core.errors import UsageError, check_number, failure_of
+from hil.core.errors import UsageError, check_number
 from hil.core.interfaces import HELD_NOTE, Sink
 from hil.core.watched_robot import WatchedRobot
 from hil.faults.fault import Fault
@@ -70,7 +70,6 @@ class HeldDevices:
         self.seen = SeenEvents(self._since_begun_ns)
         self._hold = HoldMonitor(model, devices, clock, self.seen.add, self._show_watched)
         self._sinks = [*sinks, self.seen]
-        self._failures: set[str] = set()
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []
 
@@ -216,15 +215,8 @@ class HeldDevices:
 
     def _close_sinks(self) -> None:
         for sink in self._sinks:
-            self._tell(sink, sink.close)
+            self.devices.aside.call(type(sink).__name__, sink.close)
         self._sinks.clear()
-
-    def _tell(self, sink: Sink, act: Callable[[], object]) -> None:
-        """Call a sink; its failure keeps no robot from being held and checked. Each is logged once."""
-        failure = failure_of(act)
-        if failure and failure not in self._failures:
-            self._failures.add(failure)
-            LOG.warning("%s has failed: %s", type(sink).__name__, failure)
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
         """Refuse a trajectory that exceeds the limits.
@@ -255,13 +247,13 @@ class HeldDevices:
     def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Send a note between two cycles to all sinks."""
         for sink in self._sinks:
-            self._tell(sink, partial(sink.note, t_ns, kind, data))
+            self.devices.aside.call(type(sink).__name__, partial(sink.note, t_ns, kind, data))
 
     def _show_watched(self, doubt: str, rest_s: float | None) -> None:
         """Pass on to all sinks what is seen of the robot while it is watched."""
         seen = WatchedRobot(self.stopped_by, doubt, rest_s)
         for sink in self._sinks:
-            self._tell(sink, partial(sink.watched, seen))
+            self.devices.aside.call(type(sink).__name__, partial(sink.watched, seen))
 
     def has(self, name: str) -> bool:
         """Whether the bench has a device of this kind."""
