@@ -66,8 +66,9 @@ def command(
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
 
     With --calibration it reports to how many of them the calibration was fitted: errors on those are in
-    sample. A calibration that failed its validation run is used, with a warning. If no wheel turns, or the
-    wheels contradict the ground truth (wheel order, signs, axes), the exit code is 2.
+    sample. A calibration that failed its validation run is used, with a warning. If no wheel turns, the
+    wheels contradict the ground truth (wheel order, signs, axes), or the geometry is another robot's, the
+    exit code is 2.
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
@@ -172,8 +173,10 @@ def _warnings(
     contradicted = contradictions(recordings, geometry)
     for one in recordings:
         contradicted += sensor_contradictions(one, geometry, on_wall=used.on_wall)
-    refused = without_motion(recordings) + contradicted
-    warnings += _doubts(recordings, used, bool(contradicted)) + refused
+    refused = (
+        without_motion(recordings) + contradicted + _of_another_robot(recordings, used, bool(contradicted))
+    )
+    warnings += _doubts(recordings, used) + refused
     return warnings, [f"{r.name}: {what}" for r in recordings for what in r.problems] + refused
 
 
@@ -206,22 +209,31 @@ def _tracks(recordings: list[Recording], used: _Used) -> list[Track]:
     return track_all(recordings, geometry, used.model, used.signal)
 
 
-def _doubts(recordings: list[Recording], used: _Used, contradicted: bool) -> list[str]:
-    """Reasons to doubt these errors: a geometry that cannot be right, motions that were never fitted."""
+def _of_another_robot(recordings: list[Recording], used: _Used, contradicted: bool) -> list[str]:
+    """One line where the nominal geometry cannot be that of the recorded robot; else none."""
+    from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, mismatch
+    from hil.datasets.fit_blocks import reduce_recordings
+
+    if any(one.contradictions for one in recordings):
+        return []
+    found = mismatch(reduce_recordings(recordings, _BLOCK_S, used.signal), used.robot)
+    return [f"{found}; {BENCH_FILE if contradicted else OTHER_ROBOT}"] if found else []
+
+
+def _doubts(recordings: list[Recording], used: _Used) -> list[str]:
+    """Reasons to doubt the errors of a calibration: motions that were never fitted, or another deployment."""
     from hil.calibration.cross_validation import deployed
-    from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, Driven, mismatch
+    from hil.calibration.excitation import Driven
     from hil.calibration.problem import make_setting
     from hil.calibration.warnings import beyond_driven, worse_as_twist
     from hil.datasets.fit_blocks import reduce_recordings
 
-    file, robot = used.file, used.robot
-    blocks = reduce_recordings(recordings, _BLOCK_S, used.signal)
-    found = "" if any(one.contradictions for one in recordings) else mismatch(blocks, robot)
-    out = [f"{found}; {BENCH_FILE if contradicted else OTHER_ROBOT}"] if found else []
+    file, out = used.file, list[str]()
     if file is None:
         return out
     if file.driven_m:
-        out += beyond_driven(blocks, robot.geometry, Driven.from_json(file.driven_m))
+        blocks = reduce_recordings(recordings, _BLOCK_S, used.signal)
+        out += beyond_driven(blocks, used.robot.geometry, Driven.from_json(file.driven_m))
     if used.deploy == "twist":
         setting = make_setting("recommended", model=file.model, signal=used.signal)
         out += worse_as_twist(

@@ -22,7 +22,7 @@ _FAST, _FAST_ALONE = 5e-4, 1e-3
 _HEADING_RAD, _HEADING_STD_RAD, _OTHER_RAD, _FAR_RAD = 0.03, 0.01, 0.04, 1.0
 _REVERSE_RAD = 2.6
 _CENTRE_M, _CENTRE_STD_M, _OTHER_M = 0.01, 3e-3, 0.02
-_SCALE = 0.03
+_SCALE, _NOTED = 0.03, 1.25
 FAR = 0.08
 """Share by which distances may differ; beyond it the geometry is that of another robot."""
 EITHER_SCALE = (
@@ -275,7 +275,7 @@ def _of_body(heading_rad: float, by_ways: int, centre_m: complex, by_turns: int)
 def _of_scale(off: Sequence[tuple[complex, float]]) -> tuple[str, ...]:
     """Note on a scale of all positions, by shares `off` that the distances differ, and standard errors."""
     scale = 1.0 + significant(off, _SCALE, SCALE_STD).real
-    if not _SCALE <= abs(scale - 1.0) <= FAR:
+    if not _SCALE <= abs(scale - 1.0) <= _NOTED * FAR:
         return ()
     return (
         f"by ground truth the robot goes {scale:.3f} times as far as its wheels roll ({len(off)} "

@@ -117,6 +117,13 @@ def test_no_calibration_is_written_from_clipped_steering(healthy, tmp_path, caps
     assert not (tmp_path / "c.toml").exists()
 
 
+def test_errors_of_another_robots_geometry_end_with_2(healthy, tmp_path, capsys):
+    for one in healthy:
+        write_plain(tmp_path / f"{one.name}.csv", replace(one, wheel_angle_rad=1.12 * one.wheel_angle_rad))
+    assert main(["evaluate", str(tmp_path)]) == 2
+    assert "times as far as its wheels say" in capsys.readouterr().err
+
+
 def rebuilt(one, pose=None, t_s=None, truth_t_s=None):
     wheels = np.column_stack([one.wheel_angle_rad, one.steering_rad, one.wheel_rate_rad_s])
     truth = Log(one.truth_t_s if truth_t_s is None else truth_t_s, one.truth_pose if pose is None else pose)
