@@ -33,12 +33,14 @@ class SerialPort:
 
     def __init__(self, device: str, url: str, baud: int, *, expected: str, shared: bool = False) -> None:
         self._device, self.url, self.baud = device, url, baud
+        self._port: Any = None
         try:
-            self._port: Any = open_serial(
+            self._port = open_serial(
                 url, baud=baud, timeout_s=_WAIT_S, write_timeout_s=_WRITE_S, shared=shared
             )
             self._port.reset_input_buffer()
         except PORT_ERRORS as error:
+            self.close()  # a port that fails once it is open would stay locked
             raise cannot_open(device, url, error, expected=expected) from None
 
     def close(self) -> None:

@@ -143,7 +143,7 @@ def test_a_client_that_changes_the_format_is_put_right(bench):
     ("spec", "reason"),
     [
         ("imu:off", "the sensor is silent"),
-        ("imu:unplug", "the port failed"),
+        ("imu:unplug", "port cannot be opened"),
         ("imu:garbage", "what comes is no MIP packet"),
         ("imu:delayed,delay_s=0.3", "last status stale"),
         ("imu:corrupt,probability=1", "packets are spoilt on the way"),

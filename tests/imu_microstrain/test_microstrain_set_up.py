@@ -192,7 +192,7 @@ def test_a_sensor_that_restarts_in_the_middle_is_begun_anew(bench, after_s):
     assert b.chip.commands.settings.streams == {f.FILTER_DATA}
 
 
-@pytest.mark.parametrize(("fault", "reported"), [("off", "stopped answering"), ("unplug", "the port failed")])
+@pytest.mark.parametrize(("fault", "reported"), [("off", "stopped answering"), ("unplug", "port has failed")])
 def test_a_sensor_that_goes_in_the_middle_is_distinguished_from_one_that_never_answered(
     bench, fault, reported
 ):

@@ -10,12 +10,12 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-from hil.config.microstrain import MicrostrainConfig
+from hil.config.microstrain import BITS_PER_BYTE, MicrostrainConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError
-from hil.drivers.imu.microstrain.serial_link import Link, LinkLostError, longest_packet_ns
 from hil.links.mip import fields as f
-from hil.links.mip.packets import Field, Packet, PacketParser, encode
+from hil.links.mip.packets import LARGEST_BYTES, Field, Packet, PacketParser, encode
+from hil.links.serial_port import SerialPort
 
 _TRIES = 5
 _LOOK_NS = 1_000_000
@@ -219,20 +219,33 @@ def _answer(found: tuple[Field, ...], command: Command) -> bytes | None:
     return next((field.data for field in found if field.descriptor == command.answer), None)
 
 
+def longest_packet_ns(config: MicrostrainConfig) -> int:
+    """Longest time from the first to the last byte of a packet, ns."""
+    return nanoseconds(1.3 * LARGEST_BYTES * BITS_PER_BYTE / config.baud)
+
+
+def open_port(config: MicrostrainConfig, name: str) -> SerialPort:
+    """Port of a sensor; `name` is the device's in errors. Raises `DeviceError`."""
+    return SerialPort(
+        name, config.port, config.baud, expected="a MicroStrain sensor at a serial port or pyserial URL"
+    )
+
+
 def answers(config: MicrostrainConfig, clock: Clock) -> bool:
     """Whether a MicroStrain sensor is at a port. It is only identified, and keeps its settings."""
-    link, parser = Link(config, "imu"), PacketParser(longest_packet_ns(config))
-    dialogue = Dialogue(identified, link.send, nanoseconds(config.reply_timeout_s))
+    parser, port = PacketParser(longest_packet_ns(config)), None
     end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
     try:
-        link.open()
+        port = open_port(config, "imu")
+        dialogue = Dialogue(identified, port.write, nanoseconds(config.reply_timeout_s))
         while dialogue.result is None and (now_ns := clock.now_ns()) < end_ns:
-            for packet in parser.feed(link.receive(), now_ns):
+            for packet in parser.feed(port.read_available(), now_ns):
                 dialogue.take(packet)
             dialogue.advance(now_ns)
             clock.sleep_until_ns(now_ns + _LOOK_NS)
-    except (DeviceError, LinkLostError, RefusedError, UnsuitableError):
+        return dialogue.result is not None
+    except (DeviceError, RefusedError, UnsuitableError):
         return False
     finally:
-        link.close()
-    return dialogue.result is not None
+        if port is not None:
+            port.close()

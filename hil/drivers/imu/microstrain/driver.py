@@ -21,11 +21,13 @@ from hil.drivers.imu.microstrain.command_queue import (
     SetUp,
     UnsuitableError,
     answers,
+    longest_packet_ns,
+    open_port,
     set_up,
 )
-from hil.drivers.imu.microstrain.serial_link import Link, LinkLostError, longest_packet_ns
 from hil.links.mip import fields as f
 from hil.links.mip.packets import Packet, PacketParser
+from hil.links.serial_port import PortLostError, SerialPort
 from hil.streams.device_clock import DeviceClock
 from hil.streams.silence_limit import SilenceTimer, used_while_closed
 from hil.streams.stuck_values import StuckTest
@@ -64,7 +66,7 @@ class MicrostrainImu(Sensor[ImuSample]):
 
     def __init__(self, config: MicrostrainConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock
-        self._link = Link(config, self.name)
+        self._port: SerialPort | None = None
         self._opened = False
         self._identity: dict[str, str] = {}
         self._dialogue: Dialogue | None = None
@@ -85,7 +87,7 @@ class MicrostrainImu(Sensor[ImuSample]):
             DeviceError: the port cannot be used, something else answered, or it refused.
         """
         self.close()
-        self._link.open()
+        self._port = port = open_port(self._config, self.name)
         self._opened = True
         self._parser.reset()
         self._device_clock.reset()
@@ -96,7 +98,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         self._heard_ns = self._reported_ns = now_ns
         self._reopen_ns, self._noise_ns, self._trouble = 0, now_ns - _NOISE_NS, "nothing came"
         self._is_ours = self._just_set_up = self._restarted = False
-        self._dialogue = self._new_dialogue()
+        self._dialogue = self._new_dialogue(port)
         try:
             self._await_set_up(now_ns + nanoseconds(self._config.open_timeout_s))
         except BaseException:
@@ -111,12 +113,17 @@ class MicrostrainImu(Sensor[ImuSample]):
     @property
     def port_gone(self) -> bool:
         """Whether the port itself has failed."""
-        return self._opened and not self._link.is_open
+        return self._opened and self._port is None
 
     def close(self) -> None:
         """Close the port; the sensor goes on by itself. Idempotent."""
         self._identity, self._opened, self.rate_hz = {}, False, math.nan
-        self._link.close()
+        self._close_port()
+
+    def _close_port(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
 
     def identity(self) -> Mapping[str, str]:
         """Model, serial number, firmware, rate and port; empty while closed."""
@@ -136,16 +143,20 @@ class MicrostrainImu(Sensor[ImuSample]):
         try:
             samples += self._drain(now_ns)
             self._look_after(now_ns)
-        except LinkLostError as error:
-            self._trouble = str(error)
-            self._reopen_ns = now_ns + _REOPEN_NS
+        except PortLostError as error:
+            self._lose(error, now_ns)
         samples += self._missing(now_ns)
         self._judge(samples, now_ns)
         return tuple(samples)
 
-    def _new_dialogue(self) -> Dialogue:
+    def _lose(self, error: DeviceError, now_ns: int) -> None:
+        """Close a failed port; it is opened again later."""
+        self._close_port()
+        self._trouble, self._reopen_ns = error.message.partition(": ")[2], now_ns + _REOPEN_NS
+
+    def _new_dialogue(self, port: SerialPort) -> Dialogue:
         patience_ns = nanoseconds(self._config.reply_timeout_s)
-        return Dialogue(lambda: set_up(self._config), self._link.send, patience_ns)
+        return Dialogue(lambda: set_up(self._config), port.write, patience_ns)
 
     def _await_set_up(self, deadline_ns: int) -> None:
         while (dialogue := self._dialogue) is not None:
@@ -155,8 +166,8 @@ class MicrostrainImu(Sensor[ImuSample]):
             try:
                 self._drain(now_ns)
                 self._look_after(now_ns)
-            except LinkLostError as error:
-                raise self._no_answer(dialogue, str(error)) from None
+            except PortLostError as error:
+                raise self._no_answer(dialogue, error.message.partition(": ")[2]) from None
             self._clock.sleep_until_ns(now_ns + _LOOK_NS)
 
     def _no_answer(self, dialogue: Dialogue, reason: str) -> DeviceError:
@@ -177,12 +188,12 @@ class MicrostrainImu(Sensor[ImuSample]):
 
     def _drain(self, now_ns: int) -> list[ImuSample]:
         """Parse what has arrived: data become samples, replies to commands go to the dialogue."""
-        if not self._link.is_open:
+        if self._port is None:
             return []
         parser = self._parser
         rejected, skipped = parser.rejected, parser.skipped
         samples: list[ImuSample] = []
-        packets = parser.feed(self._link.receive(), now_ns)
+        packets = parser.feed(self._port.read_available(), now_ns)
         for packet in packets:
             if packet.descriptor_set == f.FILTER_DATA:
                 data = f.FilterData.of(packet)
@@ -235,15 +246,18 @@ class MicrostrainImu(Sensor[ImuSample]):
 
     def _look_after(self, now_ns: int) -> None:
         """Set up anew a sensor that has fallen silent; open a lost port again."""
-        if not self._link.is_open:
+        if self._port is None:
             if now_ns < self._reopen_ns:
                 return
-            self._link.reopen()
+            try:
+                self._port = open_port(self._config, self.name)
+            except DeviceError as error:
+                return self._lose(error, now_ns)
             self._parser.reset()
-            self._dialogue, self._is_ours = self._new_dialogue(), False
+            self._dialogue, self._is_ours = self._new_dialogue(self._port), False
         if self._dialogue is None and self._silent_for(now_ns, _LOST_NS, _LOST_PERIODS):
             _LOG.warning("%s at %s is silent: set up again", self.name, self._config.port)
-            self._dialogue = self._new_dialogue()
+            self._dialogue = self._new_dialogue(self._port)
         if self._dialogue is not None:
             self._dialogue.advance(now_ns)
 
@@ -256,9 +270,9 @@ class MicrostrainImu(Sensor[ImuSample]):
         if before is not None and data.device_ns < before.device_ns:
             self._device_clock.reset()
             self._restarted = True
-            if not self._just_set_up:
+            if not self._just_set_up and self._port is not None:
                 _LOG.warning("%s at %s has restarted: set up again", self.name, self._config.port)
-                self._dialogue, self._is_ours = self._new_dialogue(), False
+                self._dialogue, self._is_ours = self._new_dialogue(self._port), False
         self._just_set_up = False
         t_ns, credible = self._device_clock.map(data.device_ns, now_ns)
         if not self._is_ours:
@@ -285,7 +299,7 @@ class MicrostrainImu(Sensor[ImuSample]):
             return ()
         self._reported_ns = now_ns
         noise = now_ns - self._noise_ns < _NOISE_NS
-        if self._link.is_open and not noise:
+        if self._port is not None and not noise:
             self._trouble = "the sensor is silent"
         return (self._empty(Status.PROTOCOL if noise else Status.TIMEOUT, now_ns),)
 
