@@ -10,13 +10,12 @@ import numpy as np
 from hil.config.encoders import EncodersConfig
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
-from hil.core.interfaces import Sensor
 from hil.core.signals import EncoderSample, Stamp
 from hil.drivers.encoders.as5045.frame_layout import NODE_TIME, FrameLayout, load_layout
 from hil.drivers.encoders.as5045.node_status import NodeStatus, NodeTimeline
 from hil.drivers.encoders.as5045.word import decode_words
 from hil.links.can_bus import CanLink, frame_key, remedy_of_silence, shown_key
-from hil.streams.silence_limit import SilenceTimer, used_while_closed
+from hil.streams.streaming_sensor import StreamingSensor
 
 _EVERY_NS = NS_PER_S
 _LOG = logging.getLogger(__name__)
@@ -54,8 +53,8 @@ class RateLimitedWarning:
         self._written_ns, self._skipped = now_ns, 0
 
 
-class As5045Encoders(Sensor[EncoderSample]):
-    """Four AS5045 behind one CAN node.
+class As5045Encoders(StreamingSensor[EncodersConfig, EncoderSample]):
+    """Four AS5045 behind one CAN node, whose link opens a failed bus again by itself.
 
     Args:
         config: python-can interface, DBC, signals.
@@ -66,26 +65,29 @@ class As5045Encoders(Sensor[EncoderSample]):
         incomplete: sample sets that lacked a frame since `open`.
         passed_over: frames of no use since `open`: of others, malformed, repeated.
         restarted: times (ns) of the latest jumps of the node's clock: a restart, or a second node.
-        port_gone: False: the link opens a failed bus again by itself.
         node_status: the node's status message, known within about a second of `open`.
     """
 
-    name = "encoders"
-    port_gone = False
+    name, what = "encoders", "sample set"
 
     def __init__(self, config: EncodersConfig, clock: Clock) -> None:
-        self._config, self._clock = config, clock
+        super().__init__(config, clock)
         self._link = CanLink(self.name, config, clock, self._is_own)
         self._resumed_at = 0
-        self._identity: dict[str, str] = {}
-        self._silence_timer, self._yellow_mode = SilenceTimer(config.fail_after_s), config.yellow_mode
-        self._over_ns = max(_OVER_NS, nanoseconds(1.0 / config.rate_hz))
+        self._timeline = NodeTimeline(1, 1, 1.0)
+        self._yellow_mode = config.yellow_mode
+        self._over_ns = max(_OVER_NS, self.period_ns)
         self._forget()
 
     def _forget(self) -> None:
         self.malformed = self.incomplete = self.passed_over = 0
         self.restarted: deque[int] = deque(maxlen=_OFTEN)
         self._say_restarted, self._say_malformed = RateLimitedWarning(_LOG), RateLimitedWarning(_LOG)
+
+    @property
+    def place(self) -> str:
+        """Interface and channel, for messages."""
+        return self._link.port
 
     def open(self) -> None:
         """Load the DBC, open the bus and wait for complete sample sets.
@@ -95,42 +97,30 @@ class As5045Encoders(Sensor[EncoderSample]):
             DeviceTimeoutError: the bus is silent.
             DeviceError: the bus cannot be opened, or what it carries does not match the DBC.
         """
-        self.close()
-        self._layout = load_layout(self._config)
-        self.node_status = NodeStatus(self._config)
+        self._resumed_at = self._timeline.sequence = 0
+        super().open()
+
+    def _connect(self) -> Mapping[str, str]:
+        self._resumed_at = max(self._resumed_at, self._timeline.sequence)
+        self._layout = load_layout(self.config)
+        self.node_status = NodeStatus(self.config)
         first = next(iter(self._layout.values()))
         self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
         self._forget()
         self._layout_reported = False
-        self._sequence: int | None = None
+        self._set: int | None = None
         self._finished = -1
         self._words = [-1] * 4
         self._time_raw = 0
-        self._discard = self._config.startup_discard
+        self._discard = self.config.startup_discard
         self._link.open()
-        try:
-            self._await_first_set()
-        except BaseException:
-            self.close()
-            raise
-        self._silence_timer.begin(self._clock.now_ns())
+        self._await_first_set()
+        self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)  # goes on after an outage
         self._link.error = ""
-        self._identity = {
-            "model": "AS5045",
-            "port": self._port,
-            "dbc": str(self._config.dbc_path),
-            "frames": ", ".join(f"{shown_key(i)} {f.name}" for i, f in self._layout.items()),
-        }
+        frames = ", ".join(f"{shown_key(i)} {f.name}" for i, f in self._layout.items())
+        return {"model": "AS5045", "dbc": str(self.config.dbc_path), "frames": frames}
 
-    def reopen(self) -> None:
-        """Open again after an outage: sequence numbers of sample sets go on."""
-        self._resumed_at = max(self._resumed_at, self._timeline.sequence)
-        self.open()
-        self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)
-
-    def close(self) -> None:
-        """Close the bus. Idempotent; never raises."""
-        self._identity = {}
+    def _disconnect(self) -> None:
         self._link.close()
 
     def identity(self) -> Mapping[str, str]:
@@ -172,57 +162,43 @@ class As5045Encoders(Sensor[EncoderSample]):
             else ""
         )
 
-    def read(self) -> tuple[EncoderSample, ...]:
-        """All sample sets received since the last call, oldest first.
-
-        Raises:
-            DeviceError: it is closed.
-            DeviceTimeoutError: no sample set for `fail_after_s`.
-        """
-        if not self._identity:
-            raise used_while_closed(self.name, self._port)
-        now_ns = self._clock.now_ns()
-        samples = self._received(now_ns)
-        if overdue_ns := self._silence_timer.overdue_ns(bool(samples), now_ns):
-            raise self._silent(overdue_ns / NS_PER_S)
-        if samples:
-            self._link.error = ""
-        return tuple(samples)
-
-    def _received(self, now_ns: int) -> list[EncoderSample]:
+    def _take(self, now_ns: int) -> list[tuple[EncoderSample, int]]:
         """Sample sets of the frames that wait; a bounded number, as any node on the bus may send."""
-        taken = [self._take(message, arrived_ns, now_ns) for arrived_ns, message in self._link.take()]
-        if self._sequence is not None and now_ns - self._arrival_ns > self._over_ns:
+        taken = [self._frame(message, arrived_ns, now_ns) for arrived_ns, message in self._link.take()]
+        if self._set is not None and now_ns - self._arrival_ns > self._over_ns:
             taken.append(self._cut_short(now_ns))
-        return [sample for sample in taken if sample is not None]
+        found = [(sample, now_ns) for sample in taken if sample is not None]
+        if found:
+            self._link.error = ""
+        return found
+
+    def sample(self, item: EncoderSample, stamp: Stamp) -> EncoderSample:
+        """The sample set itself: its time and number are the node's."""
+        return item
 
     def _is_own(self, key: int) -> bool:
         return key in self._layout or key == self.node_status.key
 
-    @property
-    def _port(self) -> str:
-        return self._link.port
-
-    def _silent(self, duration_s: float) -> DeviceTimeoutError:
+    def silent(self, what: str) -> DeviceTimeoutError:
+        """The error of a silent node, with what was seen of the bus."""
         clocks = self.wrong_unit or self.two_nodes
-        seen = self._link.bus_errors() + f"; {clocks}" * bool(clocks)
         return DeviceTimeoutError(
             self.name,
-            f"no sample set for {duration_s:.1f} s{seen}",
-            port=self._port,
-            expected=f"{self._config.rate_hz:g} sets per second",
+            what + self._link.bus_errors() + f"; {clocks}" * bool(clocks),
+            port=self.place,
+            expected=f"{self.config.rate_hz:g} sets per second",
             remedy=f"correct the factor of {NODE_TIME} in encoders.dbc"
             if self.wrong_unit
-            else remedy_of_silence(self.name, self._config, "the encoders' node"),
+            else remedy_of_silence(self.name, self.config, "the encoders' node"),
         )
 
     def _await_first_set(self) -> None:
         """Wait for complete sets; raises `DeviceError` that names what was seen instead."""
-        deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
+        deadline_ns = self.clock.now_ns() + nanoseconds(self.config.open_timeout_s)
         sets_left = _OPEN_SETS
         others: dict[int, int] = {}
         wrong: dict[int, int] = {}
-        while self._clock.now_ns() < deadline_ns:
+        while self.clock.now_ns() < deadline_ns:
             for arrived_ns, message in self._link.take(_WAIT_S):
                 key = frame_key(message.arbitration_id, message.is_extended_id)
                 layout = self._layout.get(key)
@@ -230,7 +206,7 @@ class As5045Encoders(Sensor[EncoderSample]):
                     others[key] = message.dlc
                 elif len(message.data) != layout.length:
                     wrong[key] = len(message.data)
-                self._take(message, arrived_ns, self._clock.now_ns())
+                self._frame(message, arrived_ns, self.clock.now_ns())
                 if layout is not None and self._finished >= 0 and -1 not in self._words:
                     sets_left -= 1
             if sets_left <= 0:
@@ -245,13 +221,13 @@ class As5045Encoders(Sensor[EncoderSample]):
                 self.name,
                 "the frames do not match the DBC: seen "
                 + ", ".join(f"{shown_key(i)} with {n} bytes" for i, n in seen),
-                port=self._port,
+                port=self.place,
                 expected=expected,
                 remedy="check encoders.dbc and encoders.node_id",
             )
-        return self._silent(self._config.open_timeout_s)
+        return self.silent(f"no {self.what} for {self.config.open_timeout_s:.1f} s")
 
-    def _take(self, message: can.Message, arrived_ns: int, host_ns: int) -> EncoderSample | None:
+    def _frame(self, message: can.Message, arrived_ns: int, host_ns: int) -> EncoderSample | None:
         """Process one frame; returns the sample set that it completes or cuts short."""
         layout = self._layout.get(frame_key(message.arbitration_id, message.is_extended_id))
         data = message.data
@@ -263,10 +239,10 @@ class As5045Encoders(Sensor[EncoderSample]):
             self.passed_over += 1
             return None
         sample = None
-        if sequence != self._sequence:
-            if self._sequence is not None:
+        if sequence != self._set:
+            if self._set is not None:
                 sample = self._cut_short(host_ns)
-            self._sequence, self._arrival_ns, self._words = sequence, arrived_ns, [-1] * 4
+            self._set, self._arrival_ns, self._words = sequence, arrived_ns, [-1] * 4
         known = self._words
         for wheel, word in words:
             known[wheel] = word
@@ -276,7 +252,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     def _warn_of_layout(self) -> None:
         if not self._layout_reported and (other := self.node_status.other_layout):
             self._layout_reported = True
-            _LOG.warning("%s at %s sends %s", self.name, self._port, other)
+            _LOG.warning("%s at %s sends %s", self.name, self.place, other)
 
     def _pass_over(self, message: can.Message, layout: FrameLayout | None, host_ns: int) -> None:
         """Process a frame without words of ours: the node's status, or one of no use."""
@@ -287,7 +263,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         if layout is not None:
             self.malformed += 1
             text = f"frame {shown_key(layout.key)} has {len(message.data)} bytes, not {layout.length}"
-            self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {text}")
+            self._say_malformed.warn(host_ns, f"{self.name} at {self.place}: {text}")
 
     def _cut_short(self, host_ns: int) -> EncoderSample | None:
         """The sample of a set that lacks frames; else as `_finish`."""
@@ -296,15 +272,15 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _finish(self, host_ns: int) -> EncoderSample | None:
         """The sample of the present set; None while start-up garbage is dropped."""
-        assert self._sequence is not None
-        self._finished, words = self._sequence, self._words
-        self._sequence = None
+        assert self._set is not None
+        self._finished, words = self._set, self._words
+        self._set = None
         t_ns, node_ns, restarted = self._timeline.update(self._finished, self._time_raw, self._arrival_ns)
         if restarted:
-            self._discard = self._config.startup_discard
+            self._discard = self.config.startup_discard
             self.restarted.append(host_ns)
             message = self.wrong_unit or self.two_nodes or "has restarted"
-            self._say_restarted.warn(host_ns, f"{self.name} at {self._port}: {message}")
+            self._say_restarted.warn(host_ns, f"{self.name} at {self.place}: {message}")
         if self._discard > 0:
             self._discard -= 1
             return None
