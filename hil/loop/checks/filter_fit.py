@@ -18,6 +18,8 @@ healthy servos have 0.3 at most."""
 _NEITHER, _IN_A_ROW = 6.0, 20
 """Mean NIS of the camera, and number of reads without a wheel that fits, from which on an estimate stops the
 robot. The noise of a camera is no reason: the estimator measures it."""
+_EACH = tuple(f"rejected_wheel_{wheel.lower()}" for wheel in WHEELS)
+"""Diagnostics of the estimator that count the rejected equations of each wheel."""
 _NOISES = {
     "tracker": ("noise_tracker_x", "noise_tracker_y", "noise_tracker_heading"),
     "imu": ("noise_gyro", "noise_gravity"),
@@ -31,7 +33,6 @@ class _WheelReads:
     """Counts the wheels that the filter rejects, in each `_READS` reads of the servos.
 
     Attributes:
-        often: True if the last reads were worth a warning.
         in_a_row: number of reads up to now in which no wheel fits.
     """
 
@@ -40,7 +41,8 @@ class _WheelReads:
 
     def reset(self) -> None:
         """Clear the counts."""
-        self._reads, self._before, self._rejected, self.often, self.in_a_row = 0, 0.0, 0.0, False, 0
+        self._reads, self._before, self._rejected, self._often, self.in_a_row = 0, 0.0, 0.0, False, 0
+        self._each = (0.0,) * len(WHEELS)
 
     def judge(self, reads: int, state: RobotState, events: list[Event]) -> None:
         """Report servos whose wheels are rejected often, once until they fit again.
@@ -50,14 +52,17 @@ class _WheelReads:
             state: the estimate.
             events: list that receives findings.
         """
-        rejected = state.diagnostics.get("rejected_wheels", 0.0)
+        figures, before = state.diagnostics, self._each
+        rejected = figures.get("rejected_wheels", 0.0)
         now, self._before = max(rejected - self._before, 0.0), rejected
+        self._each = tuple(figures.get(name, 0.0) for name in _EACH)
         if reads:
-            self.in_a_row = self.in_a_row + reads if now >= len(WHEELS) * reads else 0
+            none = all(now > then for now, then in zip(self._each, before, strict=True))
+            self.in_a_row = self.in_a_row + reads if none else 0
         self._rejected, self._reads = self._rejected + now, self._reads + reads
         if self._reads < _READS:
             return
-        often, reported = self._rejected >= _REJECTED * self._reads, self.often
+        often, reported = self._rejected >= _REJECTED * self._reads, self._often
         if often and not reported:
             share = 100.0 * self._rejected / (len(WHEELS) * self._reads)
             message = (
@@ -65,7 +70,7 @@ class _WheelReads:
                 "their data are old or irregular, or the wheels slip"
             )
             events.append(Event(state.t_ns, "warning", "servos", message))
-        self._reads, self._rejected, self.often = 0, 0.0, often
+        self._reads, self._rejected, self._often = 0, 0.0, often
 
 
 class _Refusals:
@@ -160,7 +165,7 @@ class FilterFit(Check):
 
     def _check_neither(self, cycle: Cycle, misfit: float) -> None:
         """Stop where neither the wheels nor the camera, with its mean NIS `misfit`, fit the estimate."""
-        if misfit > _NEITHER and (self._reads.often or self._reads.in_a_row >= _IN_A_ROW):
+        if misfit > _NEITHER and self._reads.in_a_row >= _IN_A_ROW:
             said = (
                 f"the estimate fits neither the camera (mean NIS {misfit:.1f}, expected 1) nor the wheels: "
                 "it cannot be right. Measure what [estimator] says (`hil run sensor_noise`)"
