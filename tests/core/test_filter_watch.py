@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.core.signals import Inputs, Measurements, RobotState
+from hil.core.errors import SafetyStop
+from hil.core.signals import WHEELS, Inputs, Measurements, RobotState, Stamp, WheelMeasurement
 from hil.loop.checks.filter_fit import FilterFit
 from hil.loop.safety_limits import SafetyLimits
 
@@ -111,3 +112,22 @@ def test_a_run_is_judged_as_the_first_one_whatever_was_before_it(former, run):
             off.append(watch.take_inflation())
         found.append((events, off))
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("refused", "nis", "stops_in"),
+    [((1, 1, 2, 1), 7.0, 20), ((0, 2, 2, 2), 150.0, None), ((2, 2, 2, 2), 5.0, None)],
+)
+def test_an_estimate_that_fits_no_wheel_and_not_the_camera_stops_the_robot(refused, nis, stops_in):
+    """Equations that are refused at each read, by wheel: one wheel that fits is enough to go on."""
+    supervisor, stopped = Supervised(SafetyLimits(stale_s={})), None
+    for k in range(1, 40):
+        read = WheelMeasurement(Stamp(k, k, k), np.zeros(4), np.zeros(4), np.zeros(4), (True,) * 4)
+        supervisor.check(Inputs(k, k), Measurements(k, k, wheels=(read,)))
+        figures = {f"rejected_wheel_{w.lower()}": float(k * n) for w, n in zip(WHEELS, refused, strict=True)}
+        try:
+            supervisor.guard(state(k, nis_mean_tracker=nis, **figures))
+        except SafetyStop as stop:
+            stopped = k, stop.reason
+            break
+    assert stopped == (stops_in and (stops_in, "sensors_disagree"))

@@ -69,6 +69,7 @@ SLOWEST_M_S = 1e-5
 BODY_ROWS = 3
 _FOUR = (4,)
 
+
 new_frame = no_frame
 
 
@@ -119,6 +120,7 @@ class Memory(Record):
         window_m: decaying sum of the last displacements, for friction.
         innovation_m: length of the innovation of the first two rows.
         refused: number of rejected equations of each wheel.
+        contrary: 1 where half of the equations of the last read, or more, were rejected, else 0.
         tally: tally of all rows.
     """
 
@@ -133,6 +135,7 @@ class Memory(Record):
     window_m: Eight
     innovation_m: float
     refused: Four
+    contrary: float
     tally: Tally
 
 
@@ -393,16 +396,22 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
         elif count > BODY_ROWS:
             m.refused[i // 2] += 1.0
     tally(m.tally, total, used, usable, samples)
+    m.contrary = 1.0 if 2 * used <= usable else 0.0
     return used
 
 
 @inner
 def reanchor(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
-    """Raise the variance of the twist after too many rejections in a row."""
-    if m.tally.in_row < limit:
+    """Raise the variance of the twist after too many rejections in a row, or where half a read is rejected.
+
+    The equations of a read are used one after the other: those of one wheel, taken first, must not hold an
+    estimate that the others contradict, as where the robot accelerates harder than expected.
+    """
+    lost = m.tally.in_row >= limit
+    if not lost and m.contrary == 0.0:
         return False
-    m.tally.in_row = 0.0
-    m.tally.reanchored += 1.0
+    m.tally.in_row = m.contrary = 0.0
+    m.tally.reanchored += 1.0 if lost else 0.0
     p[V_X, V_X] += 0.01
     p[V_Y, V_Y] += 0.01
     p[OMEGA, OMEGA] += 0.1
