@@ -9,7 +9,7 @@ from hil.links.serial_url import PORT_ERRORS, cannot_open, close_quietly, open_s
 
 T = TypeVar("T")
 
-_WAIT_S, _WRITE_S = 0.01, 0.1
+_WAIT_S, _WRITE_S = 0.01, 0.05
 _ASK_AGAIN_NS = nanoseconds(0.1)
 
 

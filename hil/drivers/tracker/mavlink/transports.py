@@ -4,20 +4,17 @@ import contextlib
 import errno
 import socket
 from collections import deque
-from typing import Any
 
 from hil.config.mavlink import MavlinkTrackerConfig, UdpAddress, udp_address
 from hil.core.clock import Clock
 from hil.core.errors import DeviceError, reason_of
 from hil.links.mavlink.transport_interface import Address, Arrival, Link
-from hil.links.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.links.serial_port import PortLostError, SerialPort
 from hil.links.udp_ports import UdpPort
 
 _LOOK_NS = 1_000_000
 _GONE_AFTER = 20
-_LARGEST = 4096
 _PIECES = 4096
-_WRITE_TIMEOUT_S = 0.05
 
 
 def open_link(config: MavlinkTrackerConfig, clock: Clock, device: str) -> Link:
@@ -92,13 +89,7 @@ class SerialLink(Link):
         self.peer = self._sender
         self._arrived: deque[Arrival] = deque(maxlen=_PIECES)
         self.trouble, self.overflowed, self._failures = "", 0, 0
-        try:
-            self._port: Any = open_serial(
-                config.port, baud=config.baud, timeout_s=0.0, write_timeout_s=_WRITE_TIMEOUT_S
-            )
-            self._port.reset_input_buffer()
-        except PORT_ERRORS as error:
-            raise cannot_open(device, config.port, error, expected="a sender of MAVLink") from None
+        self._port = SerialPort(device, config.port, config.baud, expected="a sender of MAVLink")
         self._end = clock.schedule(self._look, clock.now_ns())
 
     @property
@@ -108,7 +99,7 @@ class SerialLink(Link):
 
     def send(self, data: bytes, address: Address) -> None:
         """Write bytes to the port."""
-        with contextlib.suppress(*PORT_ERRORS):
+        with contextlib.suppress(PortLostError):
             self._port.write(data)
 
     def receive(self) -> Arrival | None:
@@ -118,15 +109,14 @@ class SerialLink(Link):
     def close(self) -> None:
         """Stop polling and close the port."""
         self._end()
-        with contextlib.suppress(*PORT_ERRORS):
-            self._port.close()
+        self._port.close()
 
     def _look(self, now_ns: int) -> int:
         try:
-            data = self._port.read(_LARGEST) if self._port.in_waiting else b""
+            data = self._port.read_available()
             self.trouble, self._failures = "", 0
-        except PORT_ERRORS as error:
-            data, self.trouble = b"", f"the port has failed ({error})"
+        except PortLostError as error:
+            data, self.trouble = b"", error.message.partition(": ")[2]
             self._failures += 1
         arrived_ns = self._clock.now_ns()
         if data:
