@@ -98,14 +98,7 @@ class BenchSource:
         return planned_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=by_hand)
 
     def check_travel(self, planned: Iterable[Trajectory]) -> None:
-        """Refuse planned trajectories that lead too far for faults in front of real devices.
-
-        Args:
-            planned: trajectories that are known beforehand; they are made only where faults limit the travel.
-
-        Raises:
-            UsageError: names the first trajectory, the distance and the limit.
-        """
+        """Refuse planned trajectories that lead too far for its faults, as `hil.bench.check_travel` does."""
         from hil.bench import check_travel
 
         check_travel(self.config, self.planned_faults(), planned)

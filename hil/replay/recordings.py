@@ -1,9 +1,8 @@
 """Recordings played back through the pipeline: the bench they were made on, and the runs they hold."""
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NoReturn
@@ -52,12 +51,12 @@ class OpenedRecording:
 
     Attributes:
         foreign: True for one of other origin: wheels and ground truth, nothing estimated.
-        problems: parts that could not be read; complete after `runs` or `run` was read.
+        problems: parts that could not be read; complete after `runs` was read.
         robot: nominal robot whose wheels a foreign recording is read for.
         tables: recordings read from a foreign one; complete after `runs` was read.
         named: True if the user has named the bench of a foreign recording.
         failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
-        lengths: number of cycles of each run that `run` has read.
+        lengths: number of cycles of each run that was read.
     """
 
     path: Path
@@ -72,12 +71,14 @@ class OpenedRecording:
     failed: str = ""
     lengths: list[int] = field(default_factory=list)
 
-    @cached_property
-    def runs(self) -> Sequence[RecordedRun]:
-        """All runs; raises `DataError` when there is none."""
-        found = tuple(self.read())
-        self.must_hold(len(found), None)
-        return found
+    @property
+    def runs(self) -> Iterator[RecordedRun]:
+        """All runs, read one by one; raises `DataError` when there is none."""
+        self.lengths.clear()
+        for run in self.read():
+            self.lengths.append(len(run.records))
+            yield run
+        self.must_hold(len(self.lengths), None)
 
     def run(self, number: int | None = None) -> RecordedRun:
         """One run by its number from 0, by default the longest; the others do not stay in memory.
@@ -86,20 +87,14 @@ class OpenedRecording:
             DataError: there is no run.
             UsageError: there is none of that number.
         """
-        self.lengths.clear()
-        runs = map(self._counted, self.read())
+        runs = self.runs
         if number is None:
-            found = max(runs, key=lambda one: len(one.records), default=None)
-        else:
-            found = next(islice(runs, number, None), None)
-            deque(runs, maxlen=0)  # problems are those of the whole recording
+            return max(runs, key=lambda one: len(one.records))
+        found = next(islice(runs, number, None), None)
+        deque(runs, maxlen=0)  # problems are those of the whole recording
         self.must_hold(len(self.lengths), number)
         assert found is not None
         return found
-
-    def _counted(self, run: RecordedRun) -> RecordedRun:
-        self.lengths.append(len(run.records))
-        return run
 
     def warnings(self) -> list[str]:
         """Warnings: a failed calibration; assumptions about a foreign recording; wrong wheels."""
@@ -284,7 +279,7 @@ def _read_foreign(
         return lambda: (to_run(one, on_wall=on_wall) for one in tables)
 
     def read() -> Iterator[RecordedRun]:
-        tables.extend(read_recordings([path], nominal=robot, truth=truth, coupling=coupling))
+        tables[:] = read_recordings([path], nominal=robot, truth=truth, coupling=coupling)
         return (to_run(one, on_wall=on_wall) for one in tables)
 
     return read

@@ -31,9 +31,10 @@ def test_another_script_is_noticed(tmp_path):
         motion = play(bench, script, pose, [0.0] * 4)
     assert motion.records[-1].setpoint.steering_rad[0] == pytest.approx(0.1, abs=0.02)
     opened = open_recording(path)
-    assert verify_run(opened.bench, opened.runs[1])["difference"] is None
-    opened.runs[1].start.trajectory["stretches"][0]["rate_rad_s"][0] = 0.2
-    assert "setpoint.wheel_rate_rad_s[0]" in verify_run(opened.bench, opened.runs[1])["difference"]
+    scripted = opened.run(1)
+    assert verify_run(opened.bench, scripted)["difference"] is None
+    scripted.start.trajectory["stretches"][0]["rate_rad_s"][0] = 0.2
+    assert "setpoint.wheel_rate_rad_s[0]" in verify_run(opened.bench, scripted)["difference"]
 
 
 def test_a_script_survives_its_note_and_nonsense_is_refused():
