@@ -70,3 +70,16 @@ def test_frames_that_arrive_together_have_no_speed_and_still_show_a_frame_that_m
     poses[100:] += (0.03, 0, 0)
     (event,) = told(poses, stamps_ns=stamps_ns)
     assert 1.0 < event.t_ns / 1e9 < 1.2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_frames_that_are_stamped_late_move_at_even_times_all_the_same(seed):
+    """As in the recordings of the real robot: each frame late by another time, none before the one before."""
+    late_ns = np.random.default_rng(seed).exponential(15e6, 400)
+    stamps_ns = np.maximum.accumulate(np.arange(400) * EVERY_NS + late_ns).astype(int)
+    stamps_ns = (stamps_ns + np.arange(400) * 300_000).tolist()
+    poses = climb(400)
+    assert told(poses, stamps_ns=stamps_ns) == []
+    poses[200:] += (0.02, 0, 0)
+    (event,) = told(poses, stamps_ns=stamps_ns)
+    assert 2.0 < event.t_ns / 1e9 < 2.5

@@ -20,6 +20,9 @@ _SHORTEST_NS = nanoseconds(0.0005)
 class Steps:
     """Follows the steps between the samples of a value, and sums those that no robot can make.
 
+    A steady motion makes steps that are alike by time or by number: a source that stamps its frames late
+    sends them at even times all the same, and one that numbers only what it sends leaves frames out.
+
     Args:
         slack: largest change of a step that is noise: ten times that of a good system.
         pull: largest acceleration, per s^2.
@@ -32,25 +35,25 @@ class Steps:
 
     def reset(self) -> None:
         """Clear the state of the run."""
-        self._last: tuple[int, complex] | None = None
-        self._step: tuple[float, complex] | None = None
+        self._last: tuple[int, int, complex] | None = None
+        self._step: tuple[float, int, complex] | None = None
         self._off = 0j
         self._since_ns = 0
 
-    def take(self, t_ns: int, value: complex) -> None:
-        """Compare the step to this value with the one before it."""
+    def take(self, t_ns: int, number: int, value: complex) -> None:
+        """Compare the step to this value, with its stamp and sequence number, with the one before it."""
         last = self._last
         if last is not None and 0 < t_ns - last[0] < _SHORTEST_NS:
             return
-        self._last = (t_ns, value)
+        self._last = (t_ns, number, value)
         if last is None or not 0 < t_ns - last[0] <= self._gap_ns:
             self._step = None
             return
-        dt_s, step = (t_ns - last[0]) / NS_PER_S, value - last[1]
-        before, self._step = self._step, (dt_s, step)
+        dt_s, frames, step = (t_ns - last[0]) / NS_PER_S, max(1, number - last[1]), value - last[2]
+        before, self._step = self._step, (dt_s, frames, step)
         if before is None:
             return
-        off = step - before[1] * (dt_s / before[0])
+        off = min((step - before[2] * ratio for ratio in (dt_s / before[0], frames / before[1])), key=abs)
         if abs(off) > self._slack + 0.5 * self._pull * dt_s * (dt_s + before[0]):
             self._off, self._since_ns = self._off + off, t_ns
             self._step = before
@@ -88,9 +91,9 @@ class FrameMove(Check):
         for pose in cycle.measurements.mocap:
             x_m, y_m, heading_rad = pose.pose.tolist()
             if math.isfinite(x_m + y_m):
-                self._places.take(pose.stamp.t_ns, complex(x_m, y_m))
+                self._places.take(pose.stamp.t_ns, pose.stamp.seq, complex(x_m, y_m))
             if math.isfinite(heading_rad):
-                self._turns.take(pose.stamp.t_ns, complex(heading_rad, 0.0))
+                self._turns.take(pose.stamp.t_ns, pose.stamp.seq, complex(heading_rad, 0.0))
         way_m, turn_rad = (steps.moved(cycle.inputs.t_ns) for steps in (self._places, self._turns))
         if way_m or turn_rad:
             self._reported = True
