@@ -80,16 +80,7 @@ def check_links(
 
 
 def check_travel(config: BenchConfig, faults: Sequence[Fault], planned: Iterable[Trajectory]) -> None:
-    """Refuse trajectories that lead too far for the faults of a bench; nothing is opened.
-
-    Args:
-        config: the bench configuration.
-        faults: all faults of the bench.
-        planned: trajectories that are known beforehand; they are made only where faults limit the travel.
-
-    Raises:
-        UsageError: names the first trajectory, the distance and the limit.
-    """
+    """Refuse a planned trajectory that leads too far for faults at links, as `must_stay_near` does."""
     if _bounds_travel(config, at_links(config, faults)):
         for trajectory in planned:
             must_stay_near(trajectory)
@@ -169,11 +160,7 @@ class Injection:
                 self._hands.end()
 
     def check(self, trajectory: Trajectory) -> None:
-        """Refuse a trajectory that leads a robot on a wall, without a tether, too far with these faults.
-
-        Raises:
-            UsageError: names the distance and the limit.
-        """
+        """Refuse a trajectory that leads too far with these faults, as `must_stay_near` does."""
         if self._bound is None or self._plan.empty:
             return
         must_stay_near(trajectory, self._bound.began_at)
@@ -203,13 +190,7 @@ class Injection:
 def with_chips(
     rows: Sequence[dict[str, object]], faults: Sequence[Fault], end_ns: int
 ) -> list[dict[str, object]]:
-    """Rows of `Injection.report` and like ones of the faults at the chips of emulated devices.
-
-    Args:
-        rows: rows of the faults of real devices.
-        faults: all faults of the bench.
-        end_ns: time at which the bench was closed, ns since it was opened.
-    """
+    """Rows of `Injection.report`, and like ones of the other faults of a bench that ended at `end_ns`."""
     there = {row["fault"] for row in rows}
     return [*rows, *(_at_the_chip(fault, end_ns) for fault in faults if str(fault) not in there)]
 

@@ -128,7 +128,7 @@ def command(
 
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
-    from hil.bench import make_bench_model
+    from hil.bench import check_travel, make_bench_model
     from hil.live import LivePlan, LiveSession, load_trajectory
     from hil.support.interrupt_signals import StopRequest
 
@@ -145,7 +145,7 @@ def command(
     if source is not None:
         model = make_bench_model(bench.config, calibration=bench.calibration)
         reference, known = load_trajectory(source, model.check)
-        bench.check_travel(() if known is None else (known,))
+        check_travel(bench.config, bench.planned_faults(), () if known is None else (known,))
     stop = StopRequest()
     with stop.noted():
         with published(request, bench.config, patient=True) as publisher, _commands(commands) as lines:

@@ -147,13 +147,7 @@ def _wanted(
 def quick_cells(
     supported: Mapping[str, Supported], *, seeds: Sequence[int], plants: Sequence[str]
 ) -> tuple[Cell, ...]:
-    """Return the cells of the short form: a few in each world, of faults that the bench has.
-
-    Args:
-        supported: kinds of faults and their options, by device.
-        seeds: seeds of the worlds.
-        plants: physics models.
-    """
+    """Return the cells of the short form, a few in each world; arguments as for `cells_of`."""
     given = [one for one in QUICK if one[1] in supported.get(one[0], ())]
     return tuple(_cell(*one, seed, plant) for plant, seed, one in itertools.product(plants, seeds, given))
 

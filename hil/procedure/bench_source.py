@@ -79,16 +79,21 @@ class BenchSource:
         """Names of the real devices."""
         return tuple(n for n in self.config.devices() if n not in self.config.emulated())
 
-    def check_faults(self) -> None:
+    def check_faults(self, planned: Iterable[Trajectory] = ()) -> None:
         """Check the faults against the devices before anything is opened.
 
+        Args:
+            planned: trajectories that are known beforehand; they are made only where faults limit the travel.
+
         Raises:
-            UsageError, ConfigError: a device cannot be emulated as configured, or no device supports a fault.
+            UsageError, ConfigError: a device cannot be emulated as configured, no device supports a fault, or
+                a trajectory leads too far for one.
         """
-        from hil.bench import check_faults
+        from hil.bench import check_faults, check_travel
 
         by_hand = self.by_hand is not None
-        check_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=by_hand)
+        faults = check_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=by_hand)
+        check_travel(self.config, faults, planned)
 
     def planned_faults(self) -> tuple[Fault, ...]:
         """All faults of the bench, those of the configuration first; raises as `check_faults`."""
@@ -96,12 +101,6 @@ class BenchSource:
 
         by_hand = self.by_hand is not None
         return planned_faults(self.config, self.faults, inject_real=self.inject_real, by_hand=by_hand)
-
-    def check_travel(self, planned: Iterable[Trajectory]) -> None:
-        """Refuse planned trajectories that lead too far for its faults, as `hil.bench.check_travel` does."""
-        from hil.bench import check_travel
-
-        check_travel(self.config, self.planned_faults(), planned)
 
     def with_its_faults(self) -> BenchSource:
         """Return the same bench with only the faults of devices that it has.

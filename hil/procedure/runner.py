@@ -63,8 +63,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         given = with_own_devices(proc.parameters, options.parameters, source.config)
         parameters = make_parameters(proc.parameters, given, proc.name)
         proc.check_needs(source.config)
-        source.check_faults()
-        source.check_travel(proc.trajectories(parameters, source.config))
+        source.check_faults(proc.trajectories(parameters, source.config))
         declared = proc.declared(parameters, source.config)
         header = header_of(proc, parameters, declared, source)
     if not options.resume:
@@ -236,8 +235,7 @@ def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -
     given = with_own_devices(proc.parameters, settings, config)
     parameters = make_parameters(proc.parameters, given, proc.name)
     proc.check_needs(config)
-    source.check_faults()
-    source.check_travel(proc.trajectories(parameters, config))
+    source.check_faults(proc.trajectories(parameters, config))
     source.describe_calibration()
     steps = []
     for step in proc.steps(parameters, config):

@@ -155,8 +155,8 @@ def injected(bench: Bench) -> list[tuple[str, object]]:
     """Return a property for each fault of a closed bench: where it was injected, when, what it has hit."""
     from hil.bench.injection import with_chips
 
-    rows = with_chips(bench.injection.report(), bench.faults, bench.world_ns)
-    return [("injected", injected_line(row)) for row in rows]
+    found = with_chips(bench.injection.report(), bench.faults, bench.world_ns)
+    return [("injected", injected_line(row)) for row in found]
 
 
 def skip_where_impossible(item: pytest.Item) -> None:
