@@ -22,7 +22,7 @@ from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
 from hil.datasets.truth_of_wheels import with_odometry_in_truth
-from hil.datasets.truth_sessions import with_other_scales
+from hil.datasets.truth_sessions import with_other_sessions
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import check_signs
@@ -157,7 +157,7 @@ def read_recordings(
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(named_apart(without_copies(out)), robot.geometry, coupling)
     out = corrected(with_angle_faults(with_misplaced_columns(out, robot)))
-    out = with_odometry_in_truth(with_other_scales(out))
+    out = with_odometry_in_truth(with_other_sessions(out))
     check_signs(out, robot, of_all=unusable is not None)
     return with_changed_wheels(out, robot.geometry)
 

@@ -1,7 +1,7 @@
-"""Finds recordings whose ground truth has another heading or scale than other repetitions of their motion.
+"""Finds recordings whose ground truth or wheels are others than those of other repetitions of their motion.
 
 A body that is defined anew for each session, or zeros that are set anew, turn all recordings of a session. A
-capture system that is calibrated anew, or wheels that were changed, scale them.
+capture system that is calibrated anew scales them. Another robot, or other wheels, change all wheels unlike.
 """
 
 import itertools
@@ -12,11 +12,14 @@ import numpy as np
 
 from hil.datasets.truth_deviations import STDS, typical
 from hil.datasets.truth_fit import TruthFit
+from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_stretches import Stretches
 
 _SESSION_RAD, _STD_RAD = 0.015, 0.01
 _SCALED, _MOTIONS = 0.014, 2
+_WHEELS_IN_MOST, _MANY = 0.0125, 5
+_WHEELS, _ROBOTS, _DIFFERS, _MOST_WHEELS = 0.02, 0.1, 0.006, 3
 
 _Measured = tuple[float, float, int]
 """A value, its standard error, and the index of its recording."""
@@ -48,21 +51,23 @@ def other_sessions(
     return _others(by_motion, _SESSION_RAD)
 
 
-def with_other_scales(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings; `contradictions` name distances that differ from those of other repetitions.
+def with_other_sessions(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings; `contradictions` name distances, or wheels, unlike those of other repetitions.
 
     Repetitions have the same radii and the same slip: the medians of their scales differ by 0.01 at most. A
-    difference of 0.014 in two motions is one of sessions; in a single motion `notes` say so.
+    difference of 0.014 in two motions is one of sessions; in a single motion `notes` say so. Wheels differ
+    where three or four of them do in two motions, by 0.02 (root mean square, rad and share of the way) and
+    less than 0.1, or by 0.0125 in most of five motions. Which recordings are of the other robot is not known:
+    all of these motions contradict.
     """
+    every = [Stretches.of(one) for one in recordings]
     by_motion = dict[str, list[_Measured]]()
-    for k, one in enumerate(recordings):
-        own = Stretches.of(one)
+    for k, (one, own) in enumerate(zip(recordings, every, strict=True)):
         if own is not None and own.scale is not None:
             by_motion.setdefault(one.motion, []).append((own.scale - 1.0, 0.0, k))
     others = _others(by_motion, _SCALED)
-    if not others:
-        return list(recordings)
     of_session = len({recordings[k].motion for k in others}) >= _MOTIONS
+    left = [None if own is None or (of_session and k in others) else own.off for k, own in enumerate(every)]
     out = list(recordings)
     for k, off in others.items():
         said = (
@@ -75,7 +80,46 @@ def with_other_scales(recordings: Sequence[Recording]) -> list[Recording]:
             if of_session
             else replace(one, notes=(*one.notes, f"{one.name}: {said}"))
         )
-    return out
+    motions = _of_other_wheels(recordings, left)
+    return [
+        replace(one, contradictions=(*one.contradictions, motions[one.motion]))
+        if off is not None and one.motion in motions
+        else one
+        for one, off in zip(out, left, strict=True)
+    ]
+
+
+def _of_other_wheels(recordings: Sequence[Recording], offs: Sequence[Complexes | None]) -> dict[str, str]:
+    """What is wrong with motions, two at least, of which repetitions are by other wheels; else empty."""
+    by_motion = dict[str, list[tuple[str, Complexes]]]()
+    for one, off in zip(recordings, offs, strict=True):
+        if off is not None:
+            by_motion.setdefault(one.motion, []).append((one.name, off))
+    apart = {motion: _apart(drives) for motion, drives in by_motion.items() if len(drives) > 1}
+    far = [motion for motion, (by, _) in apart.items() if by > _WHEELS]
+    usual = float(np.median([by for by, _ in apart.values()])) if len(apart) >= _MANY else 0.0
+    if usual > _WHEELS_IN_MOST:
+        far = [motion for motion, (by, _) in apart.items() if by > _WHEELS_IN_MOST]
+    if len(far) < _MOTIONS:
+        return {}
+    return {
+        motion: f"its wheels go otherwise than in other repetitions of its motion ({names}: by {by:.3f}, rad "
+        "and share of the way), those of other motions as well: of two robots, or of wheels or zeros "
+        "that were changed between sessions; calibrate each for itself"
+        for motion, (by, names) in apart.items()
+        if motion in far
+    }
+
+
+def _apart(drives: Sequence[tuple[str, Complexes]]) -> tuple[float, str]:
+    """Largest difference of the wheels (4,) of two repetitions, root mean square, and their names."""
+    found = (0.0, "")
+    for (name, off), (other, its) in itertools.combinations(drives, 2):
+        size = np.abs(off - its)
+        by = float(np.sqrt(np.mean(size**2)))
+        if found[0] < by < _ROBOTS and np.count_nonzero(size > _DIFFERS) >= _MOST_WHEELS:
+            found = (by, f"{name}, {other}")
+    return found
 
 
 def _others(by_motion: Mapping[str, Sequence[_Measured]], least: float) -> dict[int, float]:

@@ -11,7 +11,7 @@ from hil.datasets.sampling import interpolate
 from hil.datasets.wheel_displacements import Complexes, Drive, by_truth, by_wheels, rolling
 from hil.datasets.wheel_log import Recording
 
-_FEWEST, _TYPICAL, _GOES = 10, 90.0, 0.5
+_FEWEST, _TYPICAL, _GOES, _NOTHING_M = 10, 90.0, 0.5, 1e-6
 
 
 @dataclass(frozen=True)
@@ -77,3 +77,12 @@ class Stretches:
             return None
         along = (np.conj(rolled) * moved).real[goes] / np.abs(rolled[goes]) ** 2
         return float(np.median(along))
+
+    @property
+    def off(self) -> Complexes | None:
+        """Logarithms (4,) of the true way over the own one, medians; None where a wheel hardly moves."""
+        goes = self.goes & (np.abs(self.rolled) > _NOTHING_M)
+        if np.count_nonzero(goes, axis=0).min() < _FEWEST:
+            return None
+        every = [np.log(self.moved[rows, i] / self.rolled[rows, i]) for i, rows in enumerate(goes.T)]
+        return np.array([complex(np.median(one.real), np.median(one.imag)) for one in every])

@@ -12,7 +12,7 @@ from hil.datasets.angle_faults import with_angle_faults
 from hil.datasets.cleaning import Log
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import read_plain, write_plain
-from hil.datasets.truth_sessions import with_other_scales
+from hil.datasets.truth_sessions import with_other_sessions
 from hil.datasets.wheel_log import build_recording
 from hil.datasets.wrong_signs import check_signs
 from tests.calibration.spoilt_sets import make_drives
@@ -77,14 +77,14 @@ def test_tolerances_and_slip_are_no_fault_of_an_angle_or_session(seed, contact):
     drives = make_set(
         hidden_robot(seed, contact=contact), seed, (*MOTIONS, *OTHER_MOTIONS), 2, slip_share=0.5
     )
-    found = with_other_scales(with_angle_faults(drives))
+    found = with_other_sessions(with_angle_faults(drives))
     assert not any(one.contradictions or one.notes for one in found)
 
 
 @pytest.mark.parametrize("seed", [704, 709, 711])
 def test_robots_of_another_physics_have_no_faults_either(tmp_path, seed):
     """The sets that came nearest: zeros off by 4 deg, distances by 1.1 %, an apparent scale of 1.2 %."""
-    found = with_other_scales(
+    found = with_other_sessions(
         with_angle_faults([read_plain(one.write(tmp_path)) for one in make_drives(seed)])
     )
     assert not any(one.contradictions or one.notes for one in found)
@@ -95,7 +95,7 @@ def scaled(one, factor):
 
 
 def test_positions_of_a_session_in_another_scale_are_named(healthy):
-    found = with_other_scales([scaled(one, 1.02) if second(one) else one for one in healthy])
+    found = with_other_sessions([scaled(one, 1.02) if second(one) else one for one in healthy])
     refused = {one.name for one in found if one.contradictions}
     assert refused == {name for name in ALL if name.endswith(next(iter(refused))[-2:]) and "rot" not in name}
     assert all("times as far" in one.contradictions[0] for one in found if one.contradictions)
@@ -103,9 +103,17 @@ def test_positions_of_a_session_in_another_scale_are_named(healthy):
 
 def test_a_single_recording_in_another_scale_is_noted(healthy):
     """Slip of one drive may be as large, so it is not left out."""
-    found = with_other_scales([scaled(one, 1.02) if one.name == "line_y_2" else one for one in healthy])
+    found = with_other_sessions([scaled(one, 1.02) if one.name == "line_y_2" else one for one in healthy])
     assert not any(one.contradictions for one in found)
     assert [one.motion for one in found if one.notes] == ["line_y"]
+
+
+def test_recordings_of_two_robots_are_named(healthy):
+    """Of each motion one repetition is another robot's of this kind, with tolerances of its own."""
+    other = make_set(hidden_robot(12), 12, (*MOTIONS, "arc", "curl"), 2)
+    found = with_other_sessions([*healthy[::2], *other[1::2]])
+    refused = {one.motion for one in found if "of two robots" in " ".join(one.contradictions)}
+    assert {"rotation_ccw", "rotation_cw"} <= refused
 
 
 def test_no_calibration_is_written_from_clipped_steering(healthy, tmp_path, capsys):
