@@ -124,7 +124,7 @@ function running(job) {
   });
   return [
     make("p", {}, make("strong", {}, job.title), job.watched?.why ? " is ending" : job.stopping ? " is stopping …" : job.finishing ? " is going to end …" : " runs"),
-    ...(questionOf(job) ? [asking(job)] : []), ...(job.whole ? bar(job.whole) : []),
+    ...(questionOf(job) ? [asking(job)] : []), ...(job.whole && (job.whole.total > 1 || job.whole.left_s != null) ? bar(job.whole) : []),
     ...(job.progress ? bar(job.progress) : []), make("p", { class: "row" }, finish), ...viewer(job),
   ];
 }
