@@ -14,7 +14,8 @@ _KEYS = {"tracker": "tracker.mount_rotation_wxyz", "mocap": "mocap.body"}
 _CALLED = {"tracker": "the camera", "mocap": "motion capture"}
 _SAME = (0.6, 1.6)
 """Turn of good sensors over that of the gyro, in turns of milliradians."""
-_TURNS_RAD = 0.001
+_TURNS_RAD, _MISSING = 0.001, 0.3
+"""Turns that count; and share of them up to which they are about another axis."""
 _ALIKE, _APART_RAD, _ROTATED_RAD = 0.55, 0.4, 0.6
 """Cosine from which turns are those of the wheels: 0.69 on a floor, and 0.35 with reversed steering; angle by
 which two rotations may differ; and that from which pushes look like those of other wheels."""
@@ -44,9 +45,10 @@ def wrong_turns(source: str, straight: DriveJogs, across: DriveJogs) -> str:
     if wrong == "imu":  # judged by the turn of the body
         return ""
     share = seen @ felt / _size(felt) ** 2
+    missing = "mocap.up_axis and " if source == "mocap" and abs(share) < _MISSING else ""
     return (
         f"{_CALLED[source]} sees {share:.2f} of the turns that the gyro sees, and the wheels agree with the "
-        f"gyro: look at {_KEYS[source]}, which turns its axes."
+        f"gyro: look at {missing}{_KEYS[source]}, which turns its axes."
     )
 
 
