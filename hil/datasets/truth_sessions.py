@@ -20,6 +20,10 @@ _SESSION_RAD, _STD_RAD = 0.015, 0.01
 _SCALED, _MOTIONS = 0.014, 2
 _WHEELS_IN_MOST, _MANY = 0.0125, 5
 _WHEELS, _ROBOTS, _DIFFERS, _MOST_WHEELS = 0.02, 0.1, 0.006, 3
+_AS_MANY = (
+    "for the way of their wheels its ground truth and that of other repetitions of its motion differ in "
+    "scale by {:.1f} %, and there are as many of each: which positions are right is not known"
+)
 
 _Measured = tuple[float, float, int]
 """A value, its standard error, and the index of its recording."""
@@ -55,10 +59,10 @@ def with_other_sessions(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings; `contradictions` name distances, or wheels, unlike those of other repetitions.
 
     Repetitions have the same radii and the same slip: the medians of their scales differ by 0.01 at most. A
-    difference of 0.014 in two motions is one of sessions; in a single motion `notes` say so. Wheels differ
-    where three or four of them do in two motions, by 0.02 (root mean square, rad and share of the way) and
-    less than 0.1, or by 0.0125 in most of five motions. Which recordings are of the other robot is not known:
-    all of these motions contradict.
+    difference of 0.014 in two motions is one of sessions: the larger one is kept, and none of two that are as
+    large; in a single motion `notes` say so. Wheels differ where three or four of them do in two motions, by
+    0.02 (root mean square, rad and share of the way) and less than 0.1, or by 0.0125 in most of five motions.
+    Which recordings are of the other robot is not known: all of these motions contradict.
     """
     every = [Stretches.of(one) for one in recordings]
     by_motion = dict[str, list[_Measured]]()
@@ -80,6 +84,13 @@ def with_other_sessions(recordings: Sequence[Recording]) -> list[Recording]:
             if of_session
             else replace(one, notes=(*one.notes, f"{one.name}: {said}"))
         )
+    size = float(np.median(np.abs(list(others.values())))) if others else 0.0
+    if of_session and 2 * len(others) >= sum(
+        len(by_motion[m]) for m in {recordings[k].motion for k in others}
+    ):
+        for k in {k for other in others for _, _, k in by_motion[recordings[other].motion]} - set(others):
+            out[k] = replace(out[k], contradictions=(*out[k].contradictions, _AS_MANY.format(100.0 * size)))
+            left[k] = None
     motions = _of_other_wheels(recordings, left)
     return [
         replace(one, contradictions=(*one.contradictions, motions[one.motion]))
