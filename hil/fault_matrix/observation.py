@@ -1,12 +1,14 @@
 """Observations of one cell: what the bench reported, and what the emulated robot truly did."""
 
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hil.bench import Held
-from hil.core.errors import DeviceError, HilError, SafetyStop
+from hil.core.errors import ConfigError, DeviceError, HilError, SafetyStop
 from hil.core.geometry import Array
+from hil.core.registry import kinds
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,9 @@ def ended_by(error: HilError) -> Ended:
         return Ended(text, error.reason, error.suspects)
     if isinstance(error, DeviceError):
         return Ended(text, "device error", (error.device,))
-    return Ended(text, type(error).__name__)
+    named = isinstance(error, ConfigError)  # by the keys of their tables
+    keys = tuple(name for name in kinds() if named and re.search(rf"\b{name}\.", text))
+    return Ended(text, type(error).__name__, keys)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.bench import Held
-from hil.core.errors import DeviceError, SafetyStop
+from hil.core.errors import ConfigError, DeviceError, SafetyStop
 from hil.core.signals import SERVOS
 from hil.fault_matrix import MOMENTS, Cell, CellVerdict, matrix_page, summary
 from hil.fault_matrix.judge import Measured, judge
@@ -276,3 +276,11 @@ def test_what_stands_in_a_row_is_what_was_measured_of_it():
     assert "fell in 1 of 2; HELD in 1 of 2" in row
     closed = replace(good, held="NOT HELD", opened=False)
     assert "NOT HELD" not in page(good, closed), "nothing was promised of a bench that did not open"
+
+
+def test_a_bench_file_that_a_faulty_device_contradicts_names_it_by_its_key():
+    """A body mistaken for another before the first motion: the bench cannot tell it from a wrong key."""
+    refused = ended_by(ConfigError("emulated: either imu.mount_rotation_wxyz or mocap.body is wrong"))
+    assert set(refused.suspects) == {"imu", "mocap"}
+    assert not why(cell("mocap", "jump", "open"), cycles=0, figures=None, error=refused)
+    assert "mocap" in why(cell("encoders", "jump", "open"), cycles=0, figures=None, error=refused)
