@@ -66,9 +66,8 @@ class PathHistory(Sink):
         rows = np.array(self._driven.rows)
         paths = {"reference": rows[:, 1:3], "estimate": rows[:, 3:5], "truth": rows[:, 5:7]}
         paths = {name: path for name, path in paths.items() if np.isfinite(path).any()}
-        if max(float(np.nanmax(np.ptp(path[np.isfinite(path[:, 0])], axis=0))) for path in paths.values()) < (
-            _DRIVEN_M
-        ):
+        sizes = (np.ptp(path[np.isfinite(path[:, 0])], axis=0) for path in paths.values())
+        if max((float(np.max(size)) for size in sizes), default=0.0) < _DRIVEN_M:
             return None
         colours = {"reference": PALETTE["reference"], "estimate": SERIES[0], "truth": PALETTE["truth"]}
         figure = new_figure(5.2, 5.0)

@@ -1,6 +1,7 @@
 """What figures show whatever the data: extremes of long curves, ticks that can be read, ends of intervals."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -161,6 +162,10 @@ def test_an_estimate_that_began_anywhere_is_not_drawn_beside_the_path():
             assert abs(records[-1].truth["pose_body_in_wall"][0] - 0.44) < 0.01
             for record in records:
                 history.write(record)
+    unseen = PathHistory()
+    for record in records:
+        unseen.write(replace(record, truth=None, measurements=replace(record.measurements, mocap=())))
+    assert unseen.figure() is None
     _, distances = history.figure().axes
     for drawn in distances.get_lines():
         apart_mm = np.array(drawn.get_ydata())
