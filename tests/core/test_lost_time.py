@@ -25,6 +25,7 @@ from hil.loop.device_set import DeviceSet
 from hil.loop.pipeline import ControlPipeline
 from hil.loop.safety_limits import Checks, SafetyLimits
 from hil.loop.supervisor import Supervisor
+from hil.procedure.tracking_errors import enable_hold
 from hil.support.lost_time import EMULATOR, LOOP, LostTime
 
 MS = 1_000_000
@@ -289,3 +290,15 @@ def test_a_fault_of_the_run_is_named_before_a_computer_that_is_late():
         assert said.index("from: servos") < said.index("this computer was late")
         assert bench.stopped_by == said
         assert stop.value.suspects == ()
+
+
+@pytest.mark.parametrize("taken_ns", [0, 5 * MS])
+def test_what_this_computer_lost_is_told_beside_servos_that_hold_nothing(taken_ns):
+    with hil.open_bench("emulated", faults=["servos:silent@3"]) as bench:
+        enable_hold(bench)
+        bench.devices.lost = Taken(taken_ns, 0)
+        bench.clock.sleep_until_ns(round(3.1e9))
+        held = bench.look()
+    assert held.state == "NOT HELD"
+    assert "no servo answers" in held.why
+    assert ("this computer was late by" in held.why) is bool(taken_ns)

@@ -64,6 +64,8 @@ _OFTEN = 0.1
 """Share of unanswered reads from which HELD names a servo."""
 _FELT = 10
 """Number of specific-force samples in the median."""
+_LOST_NS = 100_000_000
+"""Time that this computer lost in a check from which on it is told."""
 
 
 class HoldCheckDeadline:
@@ -73,12 +75,16 @@ class HoldCheckDeadline:
         began_ns: beginning of the check.
         limit_s: time limit, counted from the beginning and from each failure of servos.
         strict: True if the limit is never extended.
+
+    Attributes:
+        lost_ns: time that this computer has lost in the check.
     """
 
     def __init__(self, began_ns: int, limit_s: float, *, strict: bool) -> None:
         self._limit_ns, self._strict = nanoseconds(limit_s), strict
         self._end_ns, self._may_lose_ns = began_ns + self._limit_ns, self._limit_ns
         self._answered, self._losses, self._late_looks = False, 0, 0
+        self.lost_ns = 0
         self._clear_ns = self._waited_ns = -WINDOW_NS
         self._waits = self._momentary = False
 
@@ -90,6 +96,7 @@ class HoldCheckDeadline:
 
     def on_lost(self, lost_ns: int) -> None:
         """Add time that this computer has lost to the limit, which it doubles at most."""
+        self.lost_ns += lost_ns
         added_ns = min(lost_ns, self._may_lose_ns)
         if not self._strict:
             self._end_ns, self._may_lose_ns = self._end_ns + added_ns, self._may_lose_ns - added_ns
@@ -116,6 +123,16 @@ class HoldCheckDeadline:
             return False
         self._late_looks += not self._waits
         return self._strict or not self._momentary or self._late_looks > _LATE_LOOKS
+
+
+def _late_in_words(lost_ns: int) -> str:
+    """Text on the time that this computer lost in a check; empty where it lost little."""
+    if lost_ns < _LOST_NS:
+        return ""
+    return (
+        f"; meanwhile this computer was late by {lost_ns / NS_PER_S:.2f} s: other programs took the "
+        "processor from this check, or from emulated devices"
+    )
 
 
 class HoldMonitor(Sink):
@@ -295,7 +312,7 @@ class HoldMonitor(Sink):
             if not doubt:
                 return self._verdict("HELD", self._grounds(hold.t_ns, seen, places) + late, seen)
             if time.is_up(self._clock.now_ns()):
-                return self._verdict("NOT HELD", doubt + late, seen)
+                return self._verdict("NOT HELD", doubt + late + _late_in_words(time.lost_ns), seen)
             calm = self._press.waits and JOINTS in seen and not hold.trouble
             pause_ns = _SELDOM_NS if calm else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)

@@ -9,9 +9,12 @@ from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import SERVOS, Status
 from hil.drivers.servos.dynamixel.cyclic_read import ALL_OK
 
+_PAUSE_NS, _PAUSES = 500_000_000, 3
+"""A gap between reads is a pause if longer than this, and than so many times the gap before it."""
+
 
 class AnswerTimeouts:
-    """Records when each servo was last usable.
+    """Records when each servo was last usable. A pause in reading counts for none, whatever else was sent.
 
     Args:
         config: IDs, and `fail_after_s`.
@@ -23,16 +26,21 @@ class AnswerTimeouts:
         self._config, self._device = config, device
         self._limit_ns = nanoseconds(config.fail_after_s)
         self._good_ns = [now_ns] * len(SERVOS)
+        self._read_ns, self._gap_ns = now_ns, 0
 
     def skip_pause(self, silence_ns: int) -> None:
         """Leave out `silence_ns` without requests, in which no servo failed to answer."""
+        self._read_ns += silence_ns
         self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
 
     def record(self, status: tuple[Status, ...], now_ns: int) -> bool:
         """Record which servos were usable at `now_ns`; returns whether all were."""
+        before_ns, self._gap_ns, self._read_ns = self._gap_ns, now_ns - self._read_ns, now_ns
         if status is ALL_OK:
             self._good_ns = [now_ns] * len(SERVOS)
             return True
+        if self._gap_ns > _PAUSE_NS and self._gap_ns > _PAUSES * before_ns:
+            self._good_ns = [good_ns + self._gap_ns for good_ns in self._good_ns]
         for j, one in enumerate(status):
             if one is Status.OK:
                 self._good_ns[j] = now_ns
