@@ -18,6 +18,8 @@ from hil.datasets.wheel_stretches import Stretches
 
 _SESSION_RAD, _STD_RAD = 0.015, 0.01
 _SCALED, _MOTIONS = 0.014, 2
+_OTHERWISE = 0.15
+"""Scale from which on it is none of a session: positions of another body, say, which other checks name."""
 _WHEELS_IN_MOST, _MANY = 0.0125, 5
 _WHEELS, _ROBOTS, _DIFFERS, _MOST_WHEELS = 0.02, 0.1, 0.006, 3
 _AS_MANY = (
@@ -67,7 +69,7 @@ def with_other_sessions(recordings: Sequence[Recording]) -> list[Recording]:
     every = [Stretches.of(one) for one in recordings]
     by_motion = dict[str, list[_Measured]]()
     for k, (one, own) in enumerate(zip(recordings, every, strict=True)):
-        if own is not None and own.scale is not None:
+        if own is not None and own.scale is not None and abs(own.scale - 1.0) < _OTHERWISE:
             by_motion.setdefault(one.motion, []).append((own.scale - 1.0, 0.0, k))
     others = _others(by_motion, _SCALED)
     of_session = len({recordings[k].motion for k in others}) >= _MOTIONS
