@@ -25,6 +25,8 @@ from hil.loop.checks.out_of_plane import tipped_rad
 
 MOST_RAD = 0.07
 """Difference that good mounts may have, 4 deg: fused gravity is good to 1 deg, a rigid body's axes to 2."""
+_TWO_RAD = 0.14
+"""Largest difference of the bench file's tilt from that which IMU and camera both show, rad."""
 FEWEST = 10
 """Number of samples of a sensor from which it counts."""
 _STEEP = 0.3
@@ -156,7 +158,8 @@ def _tilts(config: BenchConfig, ups: Mapping[str, Three]) -> Iterator[CrossCheck
     if alike or len(tilts) == 1:
         by = " and ".join(_CALLED[name] for name in tilts)
         ramp = not config.environment.on_wall and tilts[first] > FLOOR_TILT_RAD + MOST_RAD
-        if ramp or abs(off_rad) > APART_RAD:  # a ramp asks for the guards of a wall, which are off
+        most_rad = APART_RAD if len(tilts) == 1 else _TWO_RAD
+        if ramp or abs(off_rad) > most_rad:  # a ramp asks for the guards of a wall, which are off
             text = (
                 f"{key}: by {by} the robot is tilted by {math.degrees(tilts[first]):.0f} deg, "
                 f"bench file says {math.degrees(file_rad):.0f}; "
