@@ -85,8 +85,10 @@ def test_two_mounts_that_are_turned_alike_are_named_beside_what_they_contradict(
     assert any(all(key in f.found for key in ("mocap.body", *keys)) for f in failed)
 
 
-@pytest.mark.parametrize(("true", "state"), [(1.2, "unconfirmed"), (math.pi / 2.0, "confirmed")])
-def test_a_slope_that_gravity_shows_otherwise_is_not_confirmed(true, state):
+@pytest.mark.parametrize(
+    ("true", "state"), [(1.2, "contradicted"), (1.49, "unconfirmed"), (math.pi / 2.0, "confirmed")]
+)
+def test_a_slope_that_imu_and_camera_show_otherwise_is_not_confirmed(true, state):
     rows, _ = examined({"emulation.environment.tilt_rad": true})
     assert rows["environment.tilt_rad"].state == state
     assert rows["environment.tilt_rad"].difference == pytest.approx(true - math.pi / 2.0, abs=0.03)
