@@ -1,6 +1,7 @@
 """Figures of the running loop twice a second, for a program that watches: bench, pose, devices, events.
 
-No Rerun and no thread: figures that are due are passed on within the cycle, as plain values.
+No Rerun and no thread: figures that are due are passed on after the cycle, in time that the loop has left, as
+plain values.
 """
 
 import math
@@ -46,6 +47,7 @@ class StatusStream(Sink):
         self._bench = {"bench": config.name, "robot": robot}
         self._next_ns = 0
         self._begun_ns: int | None = None
+        self._due: tuple[CycleRecord, int] | None = None
         self._counts = dict.fromkeys(config.devices(), 0)
         self._limits = {name: StreamLimits.of(name, config) for name in config.devices()}
         self._loops = self._turns_joint = False
@@ -55,7 +57,7 @@ class StatusStream(Sink):
         self._events = EventRows()
 
     def write(self, record: CycleRecord) -> None:
-        """Count the samples of one cycle; pass on the figures when they are due."""
+        """Count the samples of one cycle, and note when figures are due."""
         if self._begun_ns is None:
             self._begun_ns = record.inputs.t_ns
         for name in sample_names(record.inputs):
@@ -70,12 +72,20 @@ class StatusStream(Sink):
         now_ns = self._clock.now_ns()
         if now_ns >= self._next_ns:
             self._next_ns = now_ns + _EVERY_NS
+            self._due = record, now_ns
+        self._loops = True
+
+    def rest(self) -> None:
+        """Pass on the figures that are due."""
+        due, self._due = self._due, None
+        if due is not None:
+            record, now_ns = due
             self._tell("live", self._figures(record) | {"host_s": now_ns / NS_PER_S})
             self._told.append((record.inputs.t_ns, dict(self._counts)))
-        self._loops = True
 
     def watched(self, robot: WatchedRobot) -> None:
         """Pass on what is seen of the robot without a loop: at once, then twice a second."""
+        self._due = None
         now_ns = self._clock.now_ns()
         if self._loops or now_ns >= self._next_ns:
             self._next_ns, self._loops = now_ns + _EVERY_NS, False
@@ -93,7 +103,7 @@ class StatusStream(Sink):
 
     def close(self) -> None:
         """Reset the time axis: the next bench has its own."""
-        self._begun_ns = None
+        self._begun_ns = self._due = None
         self._told.clear()
         self._latest.clear()
 

@@ -46,6 +46,9 @@ class ToldInTime(Sink):
     def write(self, record):
         self._stream.write(record)
 
+    def rest(self):
+        self._stream.rest()
+
     def note(self, t_ns, kind, data):
         self._stream.note(t_ns, kind, data)
 
@@ -85,11 +88,13 @@ def test_it_reports_twice_a_second_and_counts_what_came_between(records):
     for number, record in enumerate(records[:9]):
         clock.ns = number * nanoseconds(0.125)
         stream.write(record)
+        stream.rest()
     assert [kind for kind, _ in reported] == ["live"] * 3
     assert [round(data["t_s"], 3) for _, data in reported][:2] == [0.0, 0.04]
     stream.close()
     clock.ns += nanoseconds(1.0)
     stream.write(records[9])
+    stream.rest()
     assert reported[-1][1]["t_s"] == 0.0  # a bench that is opened again has a time of its own
     servos = reported[1][1]["devices"]["servos"]
     came = sum(len(r.inputs.servos) for r in records[1:5])
@@ -105,10 +110,13 @@ def test_every_device_of_the_bench_is_there_with_values_or_as_one_that_sent_noth
     reported, clock = [], At()
     stream = StatusStream(lambda kind, data: reported.append(data), clock, BENCH)
     stream.write(replace(records[0], inputs=replace(records[0].inputs, imu=(), mocap=())))
+    stream.rest()
     for record in records:
         stream.write(record)
+        stream.rest()
     clock.ns = nanoseconds(1.0)
     stream.write(records[-1])
+    stream.rest()
     first, last = reported
     assert set(first["devices"]) == set(last["devices"]) == set(BENCH.devices())
     assert (first["devices"]["imu"]["status"], first["devices"]["imu"]["values"]) == ("nothing yet", {})
@@ -121,8 +129,10 @@ def test_what_is_unknown_is_null_and_events_stay(records):
     first = records[0]
     state = replace(first.state, pose_body_in_wall=np.array([np.nan, 0.1, 0.2]))
     stream.write(replace(first, state=state, events=(Event(first.inputs.t_ns, "warning", "imu", "stuck"),)))
+    stream.rest()
     clock.ns = nanoseconds(1.0)
     stream.write(first)
+    stream.rest()
     assert json.loads(json.dumps(reported[0], allow_nan=False))["pose"] == [None, 0.1, 0.2]
     assert [figures["events"] for figures in reported] == [["0.00 s, warning, imu: stuck"]] * 2
 
@@ -195,6 +205,7 @@ def test_no_pose_is_told_while_one_wheel_turns_alone(records):
         stream.note(0, "run", {"controller": controller})
         clock.ns += nanoseconds(1.0)
         stream.write(records[0])
+        stream.rest()
         assert (reported[-1]["pose"] != [None] * 3) == known
         assert (reported[-1]["twist"] != [None] * 3) == known
         assert None not in reported[-1]["wheel_rad_s"]
