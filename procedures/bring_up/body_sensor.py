@@ -35,8 +35,8 @@ def wrong_turns(source: str, straight: DriveJogs, across: DriveJogs) -> str:
     """
     seen = np.concatenate([straight.moved[:, 2], across.moved[:, 2]])
     felt = np.concatenate([straight.felt_rad, across.felt_rad])
-    if not np.isfinite(felt).all() or max(_size(seen), _size(felt)) < _TURNS_RAD:
-        return ""
+    if not np.isfinite([seen, felt]).all() or max(_size(seen), _size(felt)) < _TURNS_RAD:
+        return ""  # a jog that was not seen says nothing of all others
     if _SAME[0] * _size(felt) ** 2 < seen @ felt < _SAME[1] * _size(felt) ** 2:
         return ""
     pushed = straight.expected[:, 2]
@@ -65,6 +65,8 @@ def wrong_axes(source: str, straight: DriveJogs, across: DriveJogs) -> str:
         across: jogs with the wheels across it.
     """
     rounds = (straight, across)
+    if not all(np.isfinite(one.moved).all() for one in rounds):
+        return ""
     felt = [one.felt_rad if np.isfinite(one.felt_rad).all() else one.moved[:, 2] for one in rounds]
     (along, side), (ahead, left) = felt, (one.expected[:, 2] for one in rounds)
     size = _size(np.concatenate(felt)) * _size(np.concatenate([ahead, left]))

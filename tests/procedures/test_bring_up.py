@@ -1,6 +1,7 @@
 """Bring-up finds signs and clocks as they were hidden, and names what is wrong."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hil.fakes.tracker.t265.chip import T265
 from hil.loop.control_loop import ControlLoop
 from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.bring_up import Parameters, measurements
+from hil.procedures.bring_up.body_sensor import wrong_axes, wrong_turns
 from hil.procedures.bring_up.jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives, expected_push
 from hil.procedures.bring_up.streams import judge_stream
 from hil.support.file_reading import get_dotted
@@ -189,6 +191,17 @@ def test_drives_and_axes_in_any_other_order_are_named(order):
     moved = {k: other for k, other in enumerate(order) if k != other}
     assert exchanged_drives(jogs(0.0, order), jogs(np.pi / 2.0, order)) == moved
     assert exchanged_axes(SteerJogs(np.eye(4), np.eye(4)[list(order)])) == moved
+
+
+def test_a_jog_that_motion_capture_did_not_see_accuses_nobody():
+    """Its poses were late on a busy computer: that is no frame whose axes are turned."""
+    straight, across = jogs(0.0, range(4)), jogs(np.pi / 2.0, range(4))
+    turned = replace(straight, moved=straight.moved * [1.0, 1.0, -1.0])
+    assert "mocap.body" in wrong_turns("mocap", turned, across)
+    blind = replace(turned, moved=np.where(np.eye(4, 3, dtype=bool), np.nan, turned.moved))
+    for one in (blind, replace(straight, moved=np.full((4, 3), np.nan))):
+        assert not wrong_turns("mocap", one, across)
+        assert not wrong_axes("mocap", one, across)
 
 
 @pytest.mark.long
