@@ -12,6 +12,11 @@ USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN)
 """A sender of poses whose poses all have one of these statuses counts as silent."""
 
 
+def is_pause(gap_ns: int, before_ns: int) -> bool:
+    """Whether a device was not read for a while, by the gap between two calls and the gap before it."""
+    return gap_ns > _PAUSE_NS and gap_ns > _PAUSES * before_ns
+
+
 class SilenceTimer:
     """Measures how long a device has sent nothing useful; pauses in which it was not read do not count.
 
@@ -43,7 +48,7 @@ class SilenceTimer:
         if useful:
             self.good_ns = now_ns
             return 0
-        if gap_ns > _PAUSE_NS and gap_ns > _PAUSES * before_ns:
+        if is_pause(gap_ns, before_ns):
             self.good_ns += gap_ns
         silent_ns = now_ns - self.good_ns
         return silent_ns if silent_ns > self._limit_ns else 0

@@ -7,14 +7,26 @@ import os
 import threading
 from collections.abc import Collection, Mapping
 
-from hil.core.clock import Clock
+from hil.core.clock import NS_PER_S, Clock
 
 LOOP, EMULATOR = "loop", "emulator"
+LATE_NS = 100_000_000
+"""Lost time from which on a silence of served devices is this computer's."""
 _NOTHING: Mapping[str, int] = {}
 _BYTES, _WAITED = 128, 1
 _READY = b"R"
 _LASTS_NS = 2_000_000
 """Time without a change of the counts from which on a thread that is ready waits."""
+
+
+def late_in_words(lost_ns: int, of_whom: str, meanwhile: str = "") -> str:
+    """Text on time that other programs took from somebody; empty below `LATE_NS`."""
+    if lost_ns <= LATE_NS:
+        return ""
+    return (
+        f"this computer was late by {lost_ns / NS_PER_S:.2f} s{meanwhile}: other programs took the "
+        f"processor from {of_whom}"
+    )
 
 
 class _Thread:

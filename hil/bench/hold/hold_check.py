@@ -41,6 +41,7 @@ from hil.core.signals import (
 )
 from hil.loop.device_set import DeviceSet
 from hil.robot.statics import GRAVITY_M_S2
+from hil.support.lost_time import late_in_words
 
 _LATE_LOOKS = 25
 """After the time limit, a momentary doubt is tolerated for this number of samples."""
@@ -64,8 +65,6 @@ _OFTEN = 0.1
 """Share of unanswered reads from which HELD names a servo."""
 _FELT = 10
 """Number of specific-force samples in the median."""
-_LOST_NS = 100_000_000
-"""Time that this computer lost in a check from which on it is told."""
 
 
 class HoldCheckDeadline:
@@ -123,16 +122,6 @@ class HoldCheckDeadline:
             return False
         self._late_looks += not self._waits
         return self._strict or not self._momentary or self._late_looks > _LATE_LOOKS
-
-
-def _late_in_words(lost_ns: int) -> str:
-    """Text on the time that this computer lost in a check; empty where it lost little."""
-    if lost_ns < _LOST_NS:
-        return ""
-    return (
-        f"; meanwhile this computer was late by {lost_ns / NS_PER_S:.2f} s: other programs took the "
-        "processor from this check, or from emulated devices"
-    )
 
 
 class HoldMonitor(Sink):
@@ -312,7 +301,8 @@ class HoldMonitor(Sink):
             if not doubt:
                 return self._verdict("HELD", self._grounds(hold.t_ns, seen, places) + late, seen)
             if time.is_up(self._clock.now_ns()):
-                return self._verdict("NOT HELD", doubt + late + _late_in_words(time.lost_ns), seen)
+                busy = late_in_words(time.lost_ns, "this check, or from emulated devices")
+                return self._verdict("NOT HELD", doubt + late + f"; meanwhile {busy}" * bool(busy), seen)
             calm = self._press.waits and JOINTS in seen and not hold.trouble
             pause_ns = _SELDOM_NS if calm else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)

@@ -12,7 +12,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.interfaces import ReportStop
 from hil.core.signals import Event, Inputs
 from hil.loop.cycle_data import SILENT, Check, Cycle
-from hil.support.lost_time import LOOP
+from hil.support.lost_time import LOOP, late_in_words
 
 HELD_UP, HELD_UP_NS = "held_up", 500_000_000
 """Reason of a stop because the loop, or what serves emulated devices, was late; longest healthy pause, ns."""
@@ -20,8 +20,6 @@ _HOLDS_UP_NS = 20_000_000
 """Time of one device's read that is reported."""
 _PAUSE_NS, _PAUSE_CYCLES, _FRESH_NS = 60_000_000, 3, 1_000_000_000
 """Pauses mentioned in a stop: least duration (ns) and cycles, and longest time since their end (ns)."""
-_LATE_NS = 100_000_000
-"""Time lost in the last second from which on a silence of served devices is this computer's."""
 
 
 def stood_still(gap_ns: int) -> str:
@@ -110,7 +108,8 @@ class LoopPause(Check):
     def beside(self, t_ns: int) -> str:
         """Text on a recent pause, for a stop with another reason; empty without a pause."""
         if not self._lasted_ns or t_ns - self._ended_ns > _FRESH_NS:
-            return f"; {self._late_in_words()}" if self._late_ns > _LATE_NS else ""
+            late = self._late_in_words()
+            return f"; {late}" if late else ""
         return (
             f"; the control loop had stood still for {self._lasted_ns / NS_PER_S:.2f} s just before. Where "
             "no device held it up, look first for what else ran on this computer: it makes healthy devices "
@@ -119,8 +118,7 @@ class LoopPause(Check):
 
     def excuse(self, device: str) -> str:
         """Text: by how much this computer was late, where a silent device is emulated; else empty."""
-        late = self._late_ns > _LATE_NS and device in self._emulated
-        return self._late_in_words() if late else ""
+        return self._late_in_words() if device in self._emulated else ""
 
     def excused(self, stops: Mapping[str, str]) -> dict[str, str]:
         """Messages of stop conditions by reason; those of excused devices become `held_up`.
@@ -140,7 +138,7 @@ class LoopPause(Check):
         return found
 
     def _late_in_words(self) -> str:
-        return (
-            f"this computer was late by {self._late_ns / NS_PER_S:.2f} s in the last second: other programs "
-            "took the processor from the control loop, or from the emulated devices; end them"
+        late = late_in_words(
+            self._late_ns, "the control loop, or from the emulated devices", " in the last second"
         )
+        return f"{late}; end them" if late else ""

@@ -8,9 +8,7 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import SERVOS, Status
 from hil.drivers.servos.dynamixel.cyclic_read import ALL_OK
-
-_PAUSE_NS, _PAUSES = 500_000_000, 3
-"""A gap between reads is a pause if longer than this, and than so many times the gap before it."""
+from hil.streams.silence_limit import is_pause
 
 
 class AnswerTimeouts:
@@ -39,7 +37,7 @@ class AnswerTimeouts:
         if status is ALL_OK:
             self._good_ns = [now_ns] * len(SERVOS)
             return True
-        if self._gap_ns > _PAUSE_NS and self._gap_ns > _PAUSES * before_ns:
+        if is_pause(self._gap_ns, before_ns):
             self._good_ns = [good_ns + self._gap_ns for good_ns in self._good_ns]
         for j, one in enumerate(status):
             if one is Status.OK:
