@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -34,7 +35,13 @@ class Stretches:
 
     @classmethod
     def of(cls, one: Recording) -> Stretches | None:
-        """The stretches of a recording; None where it has too few, or contradicts itself anyway."""
+        """The stretches of a recording; None where it has too few, or contradicts itself anyway. Cached."""
+        if "stretches" not in one.derived:
+            one.derived["stretches"] = cls._found(one)
+        return cast("Stretches | None", one.derived["stretches"])
+
+    @classmethod
+    def _found(cls, one: Recording) -> Stretches | None:
         if not one.has_truth or one.of_twist or one.contradictions:
             return None
         drive = Drive(one.t_s, one.wheel_angle_rad, one.steering_rad, one.truth_t_s, one.truth_pose)
