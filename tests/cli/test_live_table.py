@@ -84,6 +84,7 @@ def test_every_device_is_on_the_screen_with_its_newest_values(records, terminal)
     table = LiveTable(file, At(), load_bench("emulated_floor"))
     for record in records[:-1]:
         table.write(record)
+        table.rest()
         shown = screen(seen, rb"\x1b\[\d+A$").decode()  # a frame leaves the cursor above it
     table.close()
     assert screen(seen, rb"\x1b\[J$") == b"\x1b[J", "nothing is left of it"
@@ -100,6 +101,7 @@ def test_a_watched_robot_takes_the_place_of_figures_that_are_true_no_more(record
     seen, file = terminal
     shown = LiveTable(file, At(), load_bench("emulated_floor"))
     shown.write(records[0])
+    shown.rest()
     screen(seen, rb"\x1b\[\d+A$")
     shown.watched(WatchedRobot("robot stopped (adhesion): the fan is off", "it slides", None))
     text = " ".join(screen(seen, rb"\x1b\[\d+A$").decode().split())
@@ -114,6 +116,7 @@ def test_a_terminal_that_stands_still_holds_up_nothing(records, terminal):
     table = LiveTable(file, At(), load_bench("emulated_floor"))
     for _ in range(100):  # far more than a terminal takes before somebody reads it
         table.write(records[0])
+        table.rest()
     table.close()
 
 
