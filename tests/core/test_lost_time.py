@@ -13,7 +13,7 @@ from supervised import Supervised
 from test_loop_and_server import Standing
 
 import hil
-from hil.bench.hold.hold_check import HoldCheckDeadline
+from hil.bench.hold.check_deadline import HoldCheckDeadline
 from hil.core.clock import Clock, MonotonicClock
 from hil.core.errors import DeviceTimeoutError, SafetyStop
 from hil.core.interfaces import Sensor

@@ -6,7 +6,7 @@ holding (`look_after`).
 """
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,9 +15,11 @@ import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch, read_whatever_happens
 from hil.bench.hold.camera_vote import CAMERA, CameraVote
+from hil.bench.hold.check_deadline import HoldCheckDeadline
+from hil.bench.hold.felt_weight import FeltWeight
 from hil.bench.hold.frame_jumps import FrameJumps
 from hil.bench.hold.held_state import Held, State, lacking_in_words, on_the_floor
-from hil.bench.hold.motion_since_stop import FEWEST_FOR_NOISE, JOINTS, WINDOW_NS, MotionSinceStop, Trail
+from hil.bench.hold.motion_since_stop import FEWEST_FOR_NOISE, JOINTS, MotionSinceStop, Trail
 from hil.bench.hold.slide_watch import SlideWatch
 from hil.bench.hold.tilt_check import TiltWatch
 from hil.bench.loop_settings import can_fall
@@ -40,18 +42,11 @@ from hil.core.signals import (
     worst,
 )
 from hil.loop.device_set import DeviceSet
-from hil.robot.statics import GRAVITY_M_S2
 from hil.support.lost_time import late_in_words
 
-_LATE_LOOKS = 25
-"""After the time limit, a momentary doubt is tolerated for this number of samples."""
-_LOSSES = 3
-"""Number of times that the time limit is extended for servos that fail during the check."""
 _LOOK_NS = nanoseconds(0.02)
 _SELDOM_NS = nanoseconds(0.05)
 """Sample period while only time has to pass: a window still holds five samples of the servos."""
-_CALM_M_S2 = 2.0
-"""Largest difference of the median specific force from gravity; data sheets allow 0.8."""
 _SLOW_NS = nanoseconds(1.5)
 """Time limit for an IMU that has begun to deliver: on a busy computer its samples come late."""
 _STOPPED_NS = nanoseconds(0.3)
@@ -63,65 +58,6 @@ _UNSEEN_M = 0.005
 """Largest undetected motion of a held robot after its stop."""
 _OFTEN = 0.1
 """Share of unanswered reads from which HELD names a servo."""
-_FELT = 10
-"""Number of specific-force samples in the median."""
-
-
-class HoldCheckDeadline:
-    """The time limit of one check.
-
-    Args:
-        began_ns: beginning of the check.
-        limit_s: time limit, counted from the beginning and from each failure of servos.
-        strict: True if the limit is never extended.
-
-    Attributes:
-        lost_ns: time that this computer has lost in the check.
-    """
-
-    def __init__(self, began_ns: int, limit_s: float, *, strict: bool) -> None:
-        self._limit_ns, self._strict = nanoseconds(limit_s), strict
-        self._end_ns, self._may_lose_ns = began_ns + self._limit_ns, self._limit_ns
-        self._answered, self._losses, self._late_looks = False, 0, 0
-        self.lost_ns = 0
-        self._clear_ns = self._waited_ns = -WINDOW_NS
-        self._waits = self._momentary = False
-
-    def on_servo_status(self, hold: ServoHold) -> None:
-        """Process the servos' status; extend the limit for servos that fail now."""
-        if hold.trouble and self._answered and self._losses < _LOSSES and not self._strict:
-            self._end_ns, self._losses = max(self._end_ns, hold.t_ns + self._limit_ns), self._losses + 1
-        self._answered = not hold.trouble
-
-    def on_lost(self, lost_ns: int) -> None:
-        """Add time that this computer has lost to the limit, which it doubles at most."""
-        self.lost_ns += lost_ns
-        added_ns = min(lost_ns, self._may_lose_ns)
-        if not self._strict:
-            self._end_ns, self._may_lose_ns = self._end_ns + added_ns, self._may_lose_ns - added_ns
-
-    def on_observation(self, t_ns: int, *, doubt: bool, waits: bool) -> None:
-        """Process the result of one sample.
-
-        Args:
-            t_ns: time of the sample.
-            doubt: True if servos or motion contradict HELD.
-            waits: True if only the check of propellers without commands is unfinished.
-        """
-        self._waits = waits
-        if waits:
-            self._waited_ns = t_ns
-        if not doubt:
-            self._clear_ns = t_ns
-        since_ns = max(self._clear_ns, self._waited_ns) if doubt else self._waited_ns
-        self._momentary = t_ns - since_ns < WINDOW_NS
-
-    def is_up(self, now_ns: int) -> bool:
-        """Whether the check ends without HELD; counts late samples: call once after each `on_observation`."""
-        if now_ns < self._end_ns:
-            return False
-        self._late_looks += not self._waits
-        return self._strict or not self._momentary or self._late_looks > _LATE_LOOKS
 
 
 class HoldMonitor(Sink):
@@ -153,8 +89,7 @@ class HoldMonitor(Sink):
         config, elsewhere = model.config, model.config.elsewhere()
         self.tilt = TiltWatch(config)
         self._press = press_watch(config, devices)
-        self._lightest_m_s2 = config.safety.adhesion_limit_m_s2
-        self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
+        self._weight = FeltWeight(config.safety.adhesion_limit_m_s2)
         self._devices, self._clock = devices, clock
         present = [k for k in kinds().values() if devices.get(k.name) is not None]
         present += [kinds()[name] for name in further(devices.sensors) if base_of(name) not in KINDS]
@@ -264,7 +199,7 @@ class HoldMonitor(Sink):
         self._slides.begin()
         self._vote.begin()
         self._pressed_ns, self._pushed = None, False
-        self._felt_m_s2.clear()
+        self._weight.begin()
         self._reads, self._unread = 0, Counter()
         self._resting_ns: int | None = None
         self._lost_ns()
@@ -335,7 +270,7 @@ class HoldMonitor(Sink):
         push = self._press.push_against(along_m) if self._can_fall else None
         if push is None:
             return
-        refused = self._devices.push(push, falls=self._falls())
+        refused = self._devices.push(push, falls=self._weight.falls())
         if not (self._pushed or refused):
             self._pushed = True
             said = f"the robot slides after the stop: the propellers are set to {push.force_n:.1f} N"
@@ -423,7 +358,7 @@ class HoldMonitor(Sink):
         """Motion values of a sensor's samples."""
         for sample in samples:
             if isinstance(sample, ImuSample) and sample.status is Status.OK:
-                self._felt_m_s2.append(_felt_m_s2(sample))
+                self._weight.felt(sample)
                 self.tilt.saw((sample,))
             if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
@@ -450,7 +385,7 @@ class HoldMonitor(Sink):
             seen: sensors that have measured the robot for long enough.
             places: those of them that would detect a slide, and are trusted.
         """
-        felt = self._doubt_of_weight()
+        felt = self._weight.doubt()
         self._moving, self._seen_moving = bool(felt), False
         if hold.trouble or felt:
             servos = lacking_in_words(hold, emulated=self._emulated) if hold.trouble else "torque is on"
@@ -472,20 +407,6 @@ class HoldMonitor(Sink):
             return ""
         return self._slide_unseen(seen)
 
-    def _falls(self) -> bool:
-        """Whether the accelerometer feels clearly less than the weight."""
-        return bool(self._felt_m_s2) and self._felt_m_s2[-1] < self._lightest_m_s2
-
-    def _doubt_of_weight(self) -> str:
-        """Why the accelerometer contradicts a robot at rest; empty if it does not."""
-        felt = self._felt_m_s2
-        if self._falls():
-            return "the accelerometer feels less than the weight: adhesion is lost"
-        middle = float(np.median(felt)) if len(felt) == _FELT else GRAVITY_M_S2
-        if abs(middle - GRAVITY_M_S2) > _CALM_M_S2:
-            return f"the accelerometer feels {middle:.1f} m/s^2 in place of 9.8: the robot is speeding up"
-        return ""
-
     def _doubt_of_floor(self) -> str:
         """Why the IMU contradicts the configured floor or tilt; empty if it does not."""
         steeper = self.tilt.steeper()
@@ -501,8 +422,3 @@ class HoldMonitor(Sink):
             f"torque is on, but no sensor can see whether the robot slides{why}: that takes a camera, motion "
             "capture or load cells; secure the robot"
         )
-
-
-def _felt_m_s2(sample: ImuSample) -> float:
-    """Magnitude of the specific force, m/s^2."""
-    return float(np.linalg.norm(sample.specific_force_m_s2))
