@@ -10,7 +10,7 @@ import hil
 from hil.bench.hold.motion_since_stop import JOINTS, MotionSinceStop
 from hil.core.device import DeviceKind
 from hil.core.errors import SafetyStop
-from hil.core.signals import SERVOS
+from hil.core.signals import SERVOS, ImuSample
 from hil.drivers.mocap.kind import KIND as MOCAP_KIND
 from hil.drivers.servos.kind import KIND as SERVO_KIND
 from hil.drivers.tracker.kind import KIND as CAMERA_KIND
@@ -229,9 +229,8 @@ def test_a_robot_without_load_cells_is_held_by_all_others():
 
 def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
     """What it feels differs from its weight by more than a data sheet allows."""
-    from hil.bench.hold import hold_check as monitor
-
-    monkeypatch.setattr(monitor, "_felt_m_s2", lambda sample: 7.0)
+    felt = property(lambda sample: np.array([7.0, 0.0, 0.0]))
+    monkeypatch.setattr(ImuSample, "specific_force_m_s2", felt)
     held, *_ = left(way=HOP, **BRIEFLY)
     assert held.state == "NOT HELD"
     assert "speeding up" in held.why
