@@ -181,14 +181,20 @@ class TrajectoryError(HilError, ValueError):
 
 
 class DeviceError(HilError, OSError):
-    """A device cannot be used or has failed for good; `device` and `port` name it."""
+    """A device cannot be used or has failed for good.
+
+    Attributes:
+        device: name of the device.
+        port: its port; empty where it has none.
+        what: description of the failure without device and port.
+    """
 
     exit_code = EXIT_DEVICE
 
     def __init__(
         self, device: str, message: str, *, port: str = "", expected: str = "", remedy: str = ""
     ) -> None:
-        self.device, self.port = device, port
+        self.device, self.port, self.what = device, port, message
         where = f"{device} at {port}" if port else device
         super().__init__(f"{where}: {message}", expected=expected, remedy=remedy)
 

@@ -152,7 +152,7 @@ class MicrostrainImu(Sensor[ImuSample]):
     def _lose(self, error: DeviceError, now_ns: int) -> None:
         """Close a failed port; it is opened again later."""
         self._close_port()
-        self._trouble, self._reopen_ns = error.message.partition(": ")[2], now_ns + _REOPEN_NS
+        self._trouble, self._reopen_ns = error.what, now_ns + _REOPEN_NS
 
     def _new_dialogue(self, port: SerialPort) -> Dialogue:
         patience_ns = nanoseconds(self._config.reply_timeout_s)
@@ -167,7 +167,7 @@ class MicrostrainImu(Sensor[ImuSample]):
                 self._drain(now_ns)
                 self._look_after(now_ns)
             except PortLostError as error:
-                raise self._no_answer(dialogue, error.message.partition(": ")[2]) from None
+                raise self._no_answer(dialogue, error.what) from None
             self._clock.sleep_until_ns(now_ns + _LOOK_NS)
 
     def _no_answer(self, dialogue: Dialogue, reason: str) -> DeviceError:

@@ -116,7 +116,7 @@ class SerialLink(Link):
             data = self._port.read_available()
             self.trouble, self._failures = "", 0
         except PortLostError as error:
-            data, self.trouble = b"", error.message.partition(": ")[2]
+            data, self.trouble = b"", error.what
             self._failures += 1
         arrived_ns = self._clock.now_ns()
         if data:
