@@ -105,7 +105,9 @@ def _print_parameters(rows: Sequence[CrossCheck]) -> None:
     width = max(len(row.key) for row in rows)
     for row in rows:
         about = row.to_json()
-        off = f", {about['difference']:+.3g}" if about["difference"] is not None else ""
+        size = f" {row.unit}" if row.unit != "1" else ""
+        off = f", {about['difference']:+.3g}{size}" if about["difference"] is not None else ""
+        off += f", {row.bound}" if row.bound else ""
         on = f", on {row.on}" if row.on else ""
         says = (
             f"; {shown(about['says'])} would fit"

@@ -67,7 +67,8 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
         for figure in row.get("figures", ()):
             click.echo(f"    {figure['name'].replace('_', ' '):36}{figure['words']}")
     for key, one in file.confirmed.items():
-        click.echo(f"confirmed   {one.measured[:10]}  {key} {one.value} by {one.by} ({one.procedure})")
+        where = ", ".join(filter(None, (one.procedure, one.bound)))
+        click.echo(f"confirmed   {one.measured[:10]}  {key} {one.value} by {one.by} ({where})")
     for path, why in history.damaged:
         click.echo(f"hil: {path}: {why}", err=True)
     return 0

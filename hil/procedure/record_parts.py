@@ -148,9 +148,15 @@ def _kept(ctx: Context, verdict: Verdict, learned: Mapping[str, NewPart]) -> dic
 
 
 def _confirmation(ctx: Context, row: CrossCheck) -> Confirmation:
-    off = row.difference if math.isfinite(row.difference) else None
+    off, within = (v if math.isfinite(v) else None for v in (row.difference, row.within))
     return Confirmation(
-        value=row.value, by=row.by, procedure=ctx.procedure, measured=ctx.started, difference=off
+        value=row.value,
+        by=row.by,
+        procedure=ctx.procedure,
+        measured=ctx.started,
+        difference=off,
+        within=within,
+        unit=row.unit,
     )
 
 

@@ -114,6 +114,8 @@ class _Granted(_Part):
     on: str | None = None
     says: Any = None
     difference: _Number = None
+    within: _Number = None
+    unit: str | None = None
 
 
 class _Injected(_Part):

@@ -105,7 +105,7 @@ def differences(old: RecordFile, new: RecordFile) -> list[dict[str, Any]]:
 
 
 def _said(one: Confirmation | None) -> str:
-    return "by nothing" if one is None else f"{one.value} by {one.by}"
+    return "by nothing" if one is None else f"{one.value} by {one.by} {one.bound}".strip()
 
 
 def _known(part: Part | None) -> str:

@@ -40,7 +40,12 @@ class Believed(NamedTuple):
 
 def apart(force_n: float, speed_n: float) -> bool:
     """Whether two measures of one force contradict each other; False where one is NaN."""
-    return abs(force_n - speed_n) > max(DISAGREE_N, DISAGREE_SHARE * abs(speed_n))
+    return abs(force_n - speed_n) > tolerated_n(speed_n)
+
+
+def tolerated_n(speed_n: float) -> float:
+    """Difference that another measure of a force may have from that by speed, N."""
+    return max(DISAGREE_N, DISAGREE_SHARE * abs(speed_n))
 
 
 def believe(forces: Mapping[str, float], highest_n: float = math.inf) -> Believed:

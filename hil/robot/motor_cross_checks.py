@@ -213,6 +213,7 @@ def cross_check(ratings: MotorRatings, now: Reading, *, steady: bool = True) -> 
         "duty and voltage",
         value * now.speed_rpm / volts_rpm,
         now.speed_rpm / volts_rpm - 1.0,
+        within=tolerance,
     )
 
 
@@ -222,7 +223,9 @@ def _by_power(ratings: MotorRatings, now: Reading, power_rpm: float, unknown: Cr
         return unknown
     share = now.speed_rpm / power_rpm - 1.0 if power_rpm > 0.0 else math.nan
     if not far(power_rpm, now.speed_rpm, POWER_SHARE):
-        return unknown._replace(state="confirmed", by="power", says=unknown.value, difference=share)
+        return unknown._replace(
+            state="confirmed", by="power", says=unknown.value, difference=share, within=POWER_SHARE
+        )
     key = f"{ratings.table}.{ratings.speed_key}"
     says = ratings.rated_rpm * now.speed_rpm / power_rpm if power_rpm > 0.0 else math.nan
     text = (

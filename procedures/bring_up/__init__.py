@@ -19,7 +19,7 @@ from hil.bench.cross_checks.parameters import advice
 from hil.bench.doctor.steering_offsets import encoder_minus_servo
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
-from hil.core.cross_check import CrossCheck
+from hil.core.cross_check import CrossCheck, Unit
 from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.registry import kinds
@@ -68,6 +68,8 @@ _SHOWN_BY_STEPS = {
 """Keys that scale the steps of the body by a sensor: those along the surface, and turns."""
 _SAME = 0.06
 """Difference of a response from 1 up to which it confirms a key: the share that slip costs."""
+_UNITS: Mapping[str, Unit] = {"mocap.body": "rad"}
+"""Units of differences that are no share, by key."""
 _SHOWN_BY_MOTION = {
     "alignment": ("drive_sign", "steer_sign"),
     "servos": ("drive_ids", "steer_ids"),
@@ -309,7 +311,9 @@ def _confirmed(ctx: Context, off: Mapping[str, float]) -> Iterator[CrossCheck]:
         table, _, name = key.partition(".")
         value = getattr(tables[table], name)
         if value is not None:
-            yield CrossCheck(key, value, "confirmed", "small motions", value, differs)
+            within, unit = (_SAME if key in off else math.nan), _UNITS.get(key, "1")
+            by = "small motions"
+            yield CrossCheck(key, value, "confirmed", by, value, differs, within=within, unit=unit)
 
 
 def _signs(ctx: Context) -> dict[str, Any]:
@@ -495,8 +499,17 @@ def _compare_axes(ctx: Context, bench: Bench, motion: Motion, turned_rad: float)
         )
         found += place_checks(bench.config, abs(seen_m - true_m) / abs(turned_rad))
     known = [c for c in found if c.state != "confirmed" or not c.beside or bench.parameters.partly(c.key)]
-    for check in bench.parameters.take(check._replace(beside="") for check in known):
+    for check in bench.parameters.take(_whole(check, bench) for check in known):
         ctx.note(f"{check.text}; {advice(check)}.")
+
+
+def _whole(check: CrossCheck, bench: Bench) -> CrossCheck:
+    """A confirmation of a mount together with what gravity has shown of it: the larger difference counts."""
+    other = bench.parameters.partly(check.key) if check.beside else None
+    if other is None:
+        return check
+    off_rad = max(other.difference, check.difference, key=abs)
+    return check._replace(beside="", difference=off_rad, within=max(other.within, check.within))
 
 
 def _went(motion: Motion, source: str, axis: int) -> float:

@@ -49,7 +49,17 @@ def turn_checks(config: BenchConfig, motion: Motion, turned_rad: float) -> Itera
         key, value = f"{name}.mount_rotation_wxyz", mount.mount_rotation_wxyz
         if off_rad <= MOST_RAD:
             by = "gravity and small motions"
-            yield CrossCheck(key, value, "confirmed", by, value, off_rad, beside="what gravity shows")
+            yield CrossCheck(
+                key,
+                value,
+                "confirmed",
+                by,
+                value,
+                off_rad,
+                beside="what gravity shows",
+                within=MOST_RAD,
+                unit="rad",
+            )
         elif z > -0.9:  # a turn the other way round is told by its sign
             about = np.array([1.0 + z, y, -x, 0.0])
             says = multiplied((about / np.linalg.norm(about)).tolist(), value)
@@ -57,7 +67,9 @@ def turn_checks(config: BenchConfig, motion: Motion, turned_rad: float) -> Itera
                 f"{_CALLED[name]} sees the body turn about an axis {np.degrees(off_rad):.0f} deg off the "
                 f"normal of the surface: look at {key}"
             )
-            yield CrossCheck(key, value, "contradicted", "the axis of a turn", says, off_rad, text)
+            yield CrossCheck(
+                key, value, "contradicted", "the axis of a turn", says, off_rad, text, unit="rad"
+            )
 
 
 def place_checks(config: BenchConfig, lever_m: float) -> Iterator[CrossCheck]:
@@ -72,10 +84,10 @@ def place_checks(config: BenchConfig, lever_m: float) -> Iterator[CrossCheck]:
         return
     key, value = "tracker.mount_position_m", mount.mount_position_m
     if lever_m <= _PLACE_M:
-        yield CrossCheck(key, value, "confirmed", "small motions", value, lever_m)
+        yield CrossCheck(key, value, "confirmed", "small motions", value, lever_m, within=_PLACE_M, unit="m")
     elif found := explained_by_lever("tracker", lever_m) if lever_m > _FAR_M else None:
         text = f"a turn moves the body by the camera: look at {key}, {found.text}"
-        yield CrossCheck(key, value, "contradicted", "motion capture", math.nan, lever_m, text)
+        yield CrossCheck(key, value, "contradicted", "motion capture", math.nan, lever_m, text, unit="m")
 
 
 def _by_gyro(motion: Motion) -> Array:

@@ -267,27 +267,63 @@ def test_every_parameter_has_a_row_of_plain_values():
     rows, _ = examined({})
     for row in rows.values():
         entry = json.loads(json.dumps(row.to_json(), allow_nan=False))
-        assert set(entry) == {"key", "value", "state", "by", "on", "says", "difference"}
+        assert set(entry) == {"key", "value", "state", "by", "on", "says", "difference", "within", "unit"}
         assert row.by, row.key
     assert rows["adhesion.pole_pairs"].state == "confirmed"
     assert math.isfinite(rows["adhesion.pole_pairs"].difference)
 
 
-def test_a_push_that_is_a_fifth_too_high_is_not_confirmed():
-    states = {}
-    for said in (39.7, 47.6):
-        with opened(wrong("thrust.full_force_n", said, 39.7)) as bench:
-            bench.drive(UP, hold_s=0.1)
-        states[said] = {row.key: row.state for row in bench.parameters.rows()}["thrust.full_force_n"]
-    assert states == {39.7: "confirmed", 47.6: "unconfirmed"}
+@pytest.mark.parametrize("said", [39.7, 47.6])
+def test_weight_and_push_rest_on_each_other(said):
+    """The drives show their difference: a heavier robot that is pushed more looks the same."""
+    with opened(wrong("thrust.full_force_n", said, 39.7)) as bench:
+        bench.drive(UP, hold_s=0.1)
+    rows = {row.key: row for row in bench.parameters.rows()}
+    push, mass = rows["thrust.full_force_n"], rows["robot.mass_kg"]
+    assert push.state == mass.state == "unconfirmed"
+    agrees = said == 39.7
+    assert ("robot.mass_kg" in push.by, "thrust.full_force_n" in mass.by) == (agrees, agrees)
+    assert (abs(push.difference) <= push.within) == agrees
 
 
 def test_a_climb_confirms_the_weight_and_a_stop_contradicts_it():
     states = {}
-    for said in (3.25, 1.95):
-        bench = opened(wrong("robot.mass_kg", said, 3.25))
+    for said in (1.5, 0.9):
+        bench = opened(
+            {**wrong("robot.mass_kg", said, 1.5), "thrust": None, "robot.thrust_compensation": 0.0}
+        )
         with bench, contextlib.suppress(SafetyStop):
             bench.drive(UP, hold_s=0.1)
         states[said] = {row.key: row for row in bench.parameters.rows()}["robot.mass_kg"]
-    assert (states[3.25].state, states[1.95].state) == ("confirmed", "contradicted")
-    assert abs(states[3.25].difference) < 0.1
+    assert (states[1.5].state, states[0.9].state) == ("confirmed", "contradicted")
+    assert abs(states[1.5].difference) <= states[1.5].within == 0.1
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_fan_and_load_cells_that_are_wrong_alike_confirm_nothing(factor):
+    cells = load_bench("emulated").load_cells.n_per_count
+    said = {"adhesion.rated_force_n": 45.0 * factor, "load_cells.n_per_count": [factor * n for n in cells]}
+    rows, _ = examined(
+        said | {"emulation.adhesion.rated_force_n": 45.0, "emulation.load_cells.n_per_count": cells}
+    )
+    rated, scale = rows["adhesion.rated_force_n"], rows["load_cells.n_per_count"]
+    assert rated.state == scale.state == "unconfirmed"
+    assert scale.key in rated.by
+    assert abs(rated.difference) <= rated.within <= 0.1
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_horns_as_delivered_are_neither_confirmed_nor_contradicted(seed):
+    """One is up to 2.5 deg off; encoders show more than good zeros may differ."""
+    examined = opened({"emulation.geometry_share": 1.0}, seed=seed)
+    list(examine(examined, watch_s=0.4))
+    row = {row.key: row for row in examined.parameters.rows()}["alignment.steer_zero_rad"]
+    assert row.state == "unconfirmed"
+    assert ("which show" in row.by) == (abs(row.difference) > row.within)
+
+
+@pytest.mark.parametrize("off_rad", [0.05, -0.05])
+def test_zeros_that_are_all_off_alike_are_seen(off_rad):
+    rows, _ = examined({"alignment.steer_zero_rad": [off_rad] * 4})
+    assert rows["alignment.steer_zero_rad"].state == "contradicted"
+    assert rows["alignment.steer_zero_rad"].says == pytest.approx([0.0] * 4, abs=0.02)

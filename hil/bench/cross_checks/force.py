@@ -9,14 +9,20 @@ import numpy as np
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.load_cells import LoadCellsConfig
-from hil.core.cross_check import CrossCheck
+from hil.core.cross_check import CrossCheck, Unit
 from hil.core.signals import Status, worst
-from hil.robot.believed_force import apart
+from hil.robot.believed_force import apart, tolerated_n
 from hil.robot.motor_cross_checks import Reading, cross_check
 
 _STEADY_SHARE = 0.02
 _LEAST_N = 5.0
 """Force from which the scales show in it."""
+_RATED_N, _RATED_RPM = "adhesion.rated_force_n", "adhesion.rated_rpm"
+_SCALE, _ZERO = "load_cells.n_per_count", "load_cells.zero_n"
+_CELLS, _SPEED = "the load cells", "the fan's speed"
+_GIVEN = {_RATED_N: (_SCALE,), _RATED_RPM: (_SCALE,), _SCALE: (_RATED_N,), _ZERO: (_RATED_N, _SCALE)}
+"""Which other key the comparison takes as right: twice the force of both would not show."""
+_ONE_CELL = "how the force divides among the cells"
 
 
 def force_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[CrossCheck]:
@@ -36,7 +42,9 @@ def force_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
     own = cross_check(fan.ratings(), middle, steady=steady)
     yield own
     if own.state == "confirmed" and (rpm_per_v := getattr(fan, "rpm_per_v", None)) is not None:
-        yield CrossCheck("adhesion.rpm_per_v", rpm_per_v, "confirmed", own.by, rpm_per_v, own.difference)
+        yield CrossCheck(
+            "adhesion.rpm_per_v", rpm_per_v, "confirmed", own.by, rpm_per_v, own.difference, within=own.within
+        )
     if own.state != "contradicted" and steady and not config.force_sensor_elsewhere():
         yield from _by_cells(config, fan, seen, middle.speed_rpm)
 
@@ -50,11 +58,22 @@ def _by_cells(
         return
     felt_n = float(np.sum(np.mean(forces_n, axis=0) - np.array(cells.zero_n)))
     share = felt_n / made_n
-    rows: tuple[tuple[str, Any, str, Any], ...] = (
-        ("adhesion.rated_force_n", fan.rated_force_n, "the load cells", fan.rated_force_n * share),
-        ("adhesion.rated_rpm", fan.rated_rpm, "the load cells", _rpm(fan.rated_rpm, share)),
-        ("load_cells.n_per_count", cells.n_per_count, "the fan's speed", math.nan),
-        ("load_cells.zero_n", cells.zero_n, "the fan's speed", math.nan),
+    within_n = tolerated_n(made_n)
+    rated, within = fan.rated_force_n, within_n / made_n
+    # the force goes with the square of the speed; of the cells only the sum is compared
+    rows: tuple[tuple[str, Any, str, Any, float, float, Unit], ...] = (
+        (_RATED_N, rated, _CELLS, rated * share, share - 1.0, within, "1"),
+        (
+            _RATED_RPM,
+            fan.rated_rpm,
+            _CELLS,
+            _rpm(fan.rated_rpm, share),
+            0.5 * (share - 1.0),
+            0.5 * within,
+            "1",
+        ),
+        (_SCALE, cells.n_per_count, _SPEED, math.nan, share - 1.0, within, "1"),
+        (_ZERO, cells.zero_n, _SPEED, math.nan, felt_n - made_n, within_n, "N"),
     )
     wrong = apart(felt_n, made_n)
     text = (
@@ -62,11 +81,14 @@ def _by_cells(
         f"{', '.join(row[0] for row in rows)} is wrong, or the seal leaks; `hil run adhesion_check` finds "
         "zero and rated force"
     )
-    for key, value, by, says in rows:
+    for key, value, by, says, off, most, unit in rows:
         if wrong:
-            yield CrossCheck(key, value, "contradicted", by, says, share - 1.0, text)
+            yield CrossCheck(key, value, "contradicted", by, says, off, text, unit=unit)
         else:
-            yield CrossCheck(key, value, "confirmed", by, value, share - 1.0)
+            given, beside = _GIVEN[key], _ONE_CELL if key.startswith("load_cells.") else ""
+            yield CrossCheck(
+                key, value, "confirmed", by, value, off, beside=beside, within=most, unit=unit, given=given
+            )
 
 
 def _rpm(rated_rpm: float, share: float) -> float:

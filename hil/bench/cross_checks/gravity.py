@@ -114,7 +114,8 @@ def _tipped(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[
         "look at mocap.up_axis, at the plane, and at the axes of mocap.body"
     )
     for key, value in (("mocap.up_axis", table.up_axis), ("mocap.body", table.body)):
-        yield CrossCheck(key, value, "contradicted", "the plane of motion", math.nan, off_rad, text)
+        by = "the plane of motion"
+        yield CrossCheck(key, value, "contradicted", by, math.nan, off_rad, text, unit="rad")
 
 
 def _heading(config: BenchConfig, name: str, up: Three) -> Witness:
@@ -167,12 +168,14 @@ def _tilts(config: BenchConfig, ups: Mapping[str, Three]) -> Iterator[CrossCheck
             )
             if len(tilts) == 1:
                 text += f"; if they are right, {first}.{_Q} is not"
-            yield CrossCheck(key, file_rad, "contradicted", by, tilts[first], off_rad, text)
+            yield CrossCheck(key, file_rad, "contradicted", by, tilts[first], off_rad, text, unit="rad")
         elif abs(off_rad) > MOST_RAD:  # wheels hold as the file says, and yet it is another slope
             by += f", which show {math.degrees(tilts[first]):.0f} deg"
-            yield CrossCheck(key, file_rad, "unconfirmed", by, tilts[first], off_rad)
+            yield CrossCheck(key, file_rad, "unconfirmed", by, tilts[first], off_rad, unit="rad")
         else:
-            yield CrossCheck(key, file_rad, "confirmed", by, tilts[first], off_rad)
+            yield CrossCheck(
+                key, file_rad, "confirmed", by, tilts[first], off_rad, within=MOST_RAD, unit="rad"
+            )
         return
     witnesses = [
         Witness(*_mount(config, name), _CALLED[name], tilt_rad, lambda _: math.nan)
@@ -198,7 +201,17 @@ def judged(witnesses: Sequence[Witness], beside: str) -> Iterator[CrossCheck]:
         if near:
             off_rad = wrap(one.angle_rad - near[0].angle_rad)
             turn = _ABOUT_VERTICAL if one.key.endswith(_Q) else ""
-            yield CrossCheck(one.key, one.value, "confirmed", near[0].called, one.value, off_rad, beside=turn)
+            yield CrossCheck(
+                one.key,
+                one.value,
+                "confirmed",
+                near[0].called,
+                one.value,
+                off_rad,
+                beside=turn,
+                within=MOST_RAD,
+                unit="rad",
+            )
             continue
         agree = len(others) > 1 and all(
             abs(wrap(a.angle_rad - b.angle_rad)) <= MOST_RAD for a in others for b in others
@@ -210,9 +223,8 @@ def judged(witnesses: Sequence[Witness], beside: str) -> Iterator[CrossCheck]:
             either = "" if agree else f"; either {' or '.join(w.key for w in witnesses)} is wrong"
             also = f" ({beside})" if beside and one is witnesses[-1] else ""
             text = f"{one.key}{also}: {said}{either}"
-            yield CrossCheck(
-                one.key, one.value, "contradicted", by, one.says(others[0].angle_rad), off_rad, text
-            )
+            says = one.says(others[0].angle_rad)
+            yield CrossCheck(one.key, one.value, "contradicted", by, says, off_rad, text, unit="rad")
 
 
 def _pair(witnesses: Sequence[Witness]) -> Iterator[bool]:

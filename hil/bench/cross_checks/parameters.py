@@ -70,10 +70,16 @@ class Parameters:
         if check is None or not abs(check.off_share) <= FITS_SHARE:
             return
         lifted, off = check.lifted, check.off_share
-        of_push = -off * lifted.weight_n / lifted.thrust_n if lifted.thrust_n else math.nan
-        for key, differs in (("robot.mass_kg", off), *((key, of_push) for key in lifted.keys)):
+        to_push = lifted.weight_n / lifted.thrust_n if lifted.thrust_n else math.nan
+        keys = lifted.keys if lifted.thrust_n else ()
+        shown = [("robot.mass_kg", off, FITS_SHARE, keys)]
+        shown += [(key, -off * to_push, FITS_SHARE * to_push, ("robot.mass_kg",)) for key in keys]
+        for key, differs, within, given in shown:
             if (value := self._value(key)) is not None:
-                self.take([CrossCheck(key, value, "confirmed", "the work of the drives", value, differs)])
+                by = "the work of the drives"
+                self.take(
+                    [CrossCheck(key, value, "confirmed", by, value, differs, within=within, given=given)]
+                )
 
     def _value(self, key: str) -> Any:
         table, _, name = key.partition(".")
@@ -83,9 +89,10 @@ class Parameters:
         """Contradictions at rest, by key."""
         return {check.key: check for check in self._found if check.state == "contradicted"}
 
-    def partly(self, key: str) -> bool:
-        """Whether a parameter is confirmed, but for what its measurement does not show."""
-        return any(check.key == key and check.state == "confirmed" and check.beside for check in self._found)
+    def partly(self, key: str) -> CrossCheck | None:
+        """The confirmation of a parameter that leaves something beside; None without one."""
+        partial = (check for check in self._found if check.state == "confirmed" and check.beside)
+        return next((check for check in partial if check.key == key), None)
 
     def not_to_be_found(self) -> list[CrossCheck]:
         """Contradictions at rest that no procedure can resolve: whatever they find would be wrong.
@@ -103,6 +110,7 @@ class Parameters:
     def rows(self) -> list[CrossCheck]:
         """One result for each parameter of the bench file, and for what else was contradicted."""
         found = strongest([*self._found, *self._moved.values()])
+        independent = {key for key, check in found.items() if check.state == "confirmed" and not check.given}
         kept = kept_confirmations(self._config)
         tables = {name: getattr(self._config, name) for name in OF_NO_DEVICE} | self._config.devices()
         rows = []
@@ -111,6 +119,8 @@ class Parameters:
             if check.state == "confirmed" and check.beside:
                 by = f"{check.by}; {check.beside}: {self._awaited(one)}"
                 check = check._replace(state="unconfirmed", by=by)
+            elif check.state == "confirmed" and (rests := set(check.given) - independent):
+                check = check._replace(state="unconfirmed", by=f"{check.by}, {_rests_on(sorted(rests))}")
             rows.append(_of_the_record(check, kept))
         return rows + [check for check in found.values() if check.state == "contradicted"]
 
@@ -139,13 +149,29 @@ class Parameters:
             )
 
 
+def _rests_on(keys: Sequence[str]) -> str:
+    """Words for a measurement that takes other keys as right, which nothing else confirms."""
+    verb = "is" if len(keys) == 1 else "are"
+    return f"if {' and '.join(keys)} {verb} right, which nothing else measures"
+
+
 def _of_the_record(check: CrossCheck, kept: Mapping[str, Confirmation]) -> CrossCheck:
     """What the robot's record says of an unconfirmed parameter whose value is still the same."""
     one = kept.get(check.key)
     if check.state != "unconfirmed" or one is None or not one.holds_for(check.value):
         return check
-    off = math.nan if one.difference is None else one.difference
-    return CrossCheck(check.key, check.value, "confirmed", one.by, check.value, off, on=one.measured[:10])
+    off, within = (math.nan if v is None else v for v in (one.difference, one.within))
+    return CrossCheck(
+        check.key,
+        check.value,
+        "confirmed",
+        one.by,
+        check.value,
+        off,
+        on=one.measured[:10],
+        within=within,
+        unit=one.unit,
+    )
 
 
 def _times(value: Any, factor: float) -> Any:

@@ -8,12 +8,16 @@ from hil.bench.doctor.steering_offsets import encoder_minus_servo
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.servos import ServosConfig
-from hil.core.cross_check import CrossCheck
+from hil.core.cross_check import CrossCheck, State
 from hil.core.geometry import wrap
 from hil.core.signals import WHEELS
 
-MOST_RAD = 0.08
-"""Difference that zeros of a robot as delivered may have: 2.5 deg of a horn, and a magnet's eccentricity."""
+MOST_RAD = 0.03
+"""Difference that right zeros may have, and up to which they are confirmed: 1.4 deg of an AS5045 over a
+magnet off its centre, a quarter of a degree of backlash."""
+_ALIKE_RAD, _HORN_RAD = 0.04, 0.08
+"""Differences that zeros of a robot as delivered may have, all wheels alike and one: horns are screwed on
+within 2.5 deg, each its own way."""
 
 
 def steering_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[CrossCheck]:
@@ -38,11 +42,17 @@ def steering_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> I
     known = [value for value in off if math.isfinite(value)]
     if not known:
         return
-    worst_rad = max(known, key=abs)
+    worst_rad, alike_rad = max(known, key=abs), abs(sum(known)) / len(known)
     keys = (("encoders.zero_rad", table.zero_rad), ("alignment.steer_zero_rad", own.steer_zero_rad))
-    if abs(worst_rad) <= MOST_RAD:
-        for (key, value), by in zip(keys, ("the servos", "the encoders"), strict=True):
-            yield CrossCheck(key, value, "confirmed", by, value, worst_rad)
+    if abs(worst_rad) <= _HORN_RAD and alike_rad <= _ALIKE_RAD:
+        state: State = "confirmed" if abs(worst_rad) <= MOST_RAD else "unconfirmed"
+        for (key, value), by, (other, _) in zip(
+            keys, ("the servos", "the encoders"), keys[::-1], strict=True
+        ):
+            said = by if state == "confirmed" else f"{by}, which show {worst_rad:+.3f} rad"
+            yield CrossCheck(
+                key, value, state, said, value, worst_rad, within=MOST_RAD, unit="rad", given=(other,)
+            )
         return
     said = ", ".join(
         f"{wheel} {value:+.3f} rad" for wheel, value in zip(WHEELS, off, strict=True) if abs(value) > MOST_RAD
@@ -56,4 +66,6 @@ def steering_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> I
         "alignment.steer_zero_rad is wrong, or a horn or an encoder has slipped; `hil run steering_zero`"
     )
     for (key, value), says, by in zip(keys, fits, ("the servos", "the encoders"), strict=True):
-        yield CrossCheck(key, value, "contradicted", by, [round(v, 4) for v in says], worst_rad, text)
+        yield CrossCheck(
+            key, value, "contradicted", by, [round(v, 4) for v in says], worst_rad, text, unit="rad"
+        )

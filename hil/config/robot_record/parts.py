@@ -17,6 +17,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hil.config.robot_record.limits import not_plain
+from hil.core.cross_check import Unit, bound_text
 
 Four = tuple[float, float, float, float]
 FourNumbers = tuple[int, int, int, int]
@@ -210,7 +211,9 @@ class Confirmation(_Model):
         value: value that was confirmed; any other is not.
         by: the measurement.
         procedure, measured: procedure in which it was measured; date and time, ISO 8601.
-        difference: difference of the measurements, relative, in rad or m; None where it gives none.
+        difference: difference of the measurements, in `unit`; None where it gives none.
+        within: difference up to which it confirms, in `unit`; None for a choice, such as a sign.
+        unit: unit of both, `1` for a share of the value.
     """
 
     value: Any
@@ -218,6 +221,8 @@ class Confirmation(_Model):
     procedure: str
     measured: str
     difference: float | None = None
+    within: float | None = None
+    unit: Unit = "1"
 
     @field_validator("value")
     @classmethod
@@ -226,13 +231,19 @@ class Confirmation(_Model):
             raise ValueError("; ".join(problems))
         return value
 
+    @property
+    def bound(self) -> str:
+        """The bound in words; empty for none."""
+        return bound_text(self.within, self.unit)
+
     def holds_for(self, value: Any) -> bool:
         """Whether a bench file still has the value that was confirmed."""
         return bool(_listed(self.value) == _listed(value))
 
     def alike(self, other: Confirmation) -> bool:
         """Whether another one says the same, at another time: only what is new makes a version."""
-        return self.holds_for(other.value) and self.by == other.by
+        mine, theirs = ((one.by, one.within, one.unit) for one in (self, other))
+        return self.holds_for(other.value) and mine == theirs
 
 
 def _listed(value: Any) -> Any:
