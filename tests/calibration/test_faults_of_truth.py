@@ -1,0 +1,109 @@
+"""Ground truth whose frame drifts, or that is joined from two cameras, is refused or left out."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
+from hil.cli import main
+from hil.datasets.plain_csv import write_plain
+from hil.datasets.recording_names import MOTIONS
+from hil.datasets.truth_at_rest import with_truth_at_rest
+from hil.datasets.truth_seams import with_truth_seams
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_set(hidden_robot(3, contact="elastic"), 3, repetitions=2)
+
+
+def spoilt(one, change):
+    """A recording with another ground truth: change of (t, pose), with t since its begin, s."""
+    since_s = one.truth_t_s - one.truth_t_s[0]
+    return replace(one, truth_pose=change(since_s, one.truth_pose.copy()))
+
+
+def drifting(*speed):
+    return lambda t_s, pose: pose + t_s[:, None] * np.array(speed)
+
+
+def stepping(*step, share=0.4):
+    return lambda t_s, pose: pose + (t_s > share * t_s[-1])[:, None] * np.array(step)
+
+
+def second_camera(*step):
+    """Beyond half of the largest distance from the begin another camera sees the robot."""
+
+    def change(t_s, pose):
+        away_m = np.hypot(*(pose[:, :2] - pose[0, :2]).T)
+        return pose + (away_m > 0.5 * away_m.max())[:, None] * np.array(step)
+
+    return change
+
+
+def named(recordings, word):
+    return [one.name for one in recordings if any(word in said for said in one.contradictions)]
+
+
+@pytest.mark.parametrize(
+    ("speed", "size"),
+    [
+        ((5e-4, 0.0, 0.0), "moves by 0.5 mm/s"),
+        ((0.0, -1.5e-3, 0.0), "moves by 1.5 mm/s"),
+        ((0.0, 2e-4, 0.0), "moves by 0.2 mm/s"),
+        ((0.0, 0.0, 1e-4), "turns by 0.1 mrad/s"),
+        ((0.0, 0.0, -5e-4), "turns by -0.5 mrad/s"),
+    ],
+)
+def test_a_frame_that_drifts_shows_at_rest(data, speed, size):
+    found = with_truth_at_rest([spoilt(one, drifting(*speed)) for one in data])
+    assert named(found, "robot slides") == [one.name for one in data]
+    verb, measured = re.search(r"(moves|turns) by (\S+)", found[0].contradictions[0]).groups()
+    assert size.startswith(verb)
+    assert float(measured) == pytest.approx(float(size.split()[2]), abs=0.03)
+
+
+@pytest.mark.parametrize("speed", [(5e-4, 0.0, 0.0), (0.0, 0.0, 1e-3)])
+def test_the_frame_of_one_recording_that_drifts_is_named_there_alone(data, speed):
+    for k in (0, 5):
+        some = [spoilt(one, drifting(*speed)) if i == k else one for i, one in enumerate(data)]
+        found = with_truth_at_rest(some)
+        assert named(found, "while no wheel turns") == [data[k].name]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [stepping(3e-3, 0.0, 0.0), stepping(0.0, 0.0, 5e-3), second_camera(3e-3, -2e-3, 0.01)],
+    ids=["place", "heading", "second camera"],
+)
+def test_a_truth_of_two_cameras_is_found_in_each_recording(data, change):
+    found = named(with_truth_seams([spoilt(one, change) for one in data]), "steps by")
+    assert len(found) >= len(data) - 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slip_and_noise_are_neither(seed):
+    contact = ("viscous", "coulomb", "creep", "elastic")[seed]
+    made = make_set(hidden_robot(seed, contact=contact), seed, (*MOTIONS, *OTHER_MOTIONS), 1, slip_share=1.0)
+    assert not any(one.contradictions for one in with_truth_seams(with_truth_at_rest(made)))
+
+
+def test_a_truth_that_is_late_does_not_drift(data):
+    late = [replace(one, truth_t_s=one.truth_t_s - 0.6) for one in data]
+    assert not any(one.contradictions for one in with_truth_at_rest(late))
+
+
+def test_calibrate_refuses_the_set_and_leaves_one_out(data, tmp_path, capsys):
+    words = ["--model", "exact", "--no-validation", "--out", str(tmp_path / "c.toml")]
+    for many in (True, False):
+        folder = tmp_path / f"many {many}"
+        folder.mkdir()
+        for k, one in enumerate(data):
+            own = spoilt(one, drifting(0.0, 1e-3, 0.0)) if many or k == 0 else one
+            write_plain(folder / f"{one.name}.csv", own)
+        assert main(["calibrate", str(folder), *words]) == (2 if many else 0)
+        out, err = capsys.readouterr()
+        assert "while no wheel turns" in err + out
+        assert (tmp_path / "c.toml").exists() != many
