@@ -23,6 +23,7 @@ from hil.datasets.truth_at_rest import with_truth_at_rest
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
 from hil.datasets.truth_of_wheels import with_odometry_in_truth
+from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
 from hil.datasets.truth_sessions import with_other_sessions
 from hil.datasets.unpacking import PACKED
@@ -159,7 +160,7 @@ def read_recordings(
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(named_apart(without_copies(out)), robot.geometry, coupling)
     out = corrected(with_angle_faults(with_misplaced_columns(out, robot)))
-    out = with_truth_seams(with_truth_at_rest(out))
+    out = with_truth_scales(with_truth_seams(with_truth_at_rest(out)))
     out = with_odometry_in_truth(with_other_sessions(out))
     check_signs(out, robot, of_all=unusable is not None)
     return with_changed_wheels(out, robot.geometry)

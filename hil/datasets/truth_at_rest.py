@@ -24,7 +24,7 @@ _ROWS, _MEANS, _FEWEST, _SPREAD = 15, 10, 4, 4.0
 _FLOOR = np.array([5e-6, 5e-6, 2e-5])
 """Least standard error of a speed, m/s, m/s, rad/s: rests of good recordings differ by as much."""
 _COMMON, _COMMON_STD = np.array([1e-4, 1e-4, 7e-5]), np.array([1e-4, 1e-4, 2e-4])
-_ALONE, _ALONE_STDS = np.array([2.5e-4, 2.5e-4, 3e-4]), 5.0
+_ALONE, _ALONE_STDS, _ONLY = np.array([2.5e-4, 2.5e-4, 3e-4]), 5.0, 2.0
 _EITHER = (
     "either the frame of the capture system moves (a tripod that sinks, a camera that turns), or the robot "
     "slides; recordings cannot tell these apart. Fasten the cameras, or hold the robot"
@@ -44,7 +44,8 @@ def with_truth_at_rest(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings; `contradictions` name, first, ground truth that moves while no wheel turns.
 
     In a set it is named from 0.1 mm/s or 0.07 mrad/s on, four standard errors of all rests together; in a
-    single recording from 0.25 mm/s or 0.3 mrad/s on, if each of its rests shows five standard errors.
+    single recording from 0.25 mm/s or 0.3 mrad/s on, if each of its rests shows five standard errors, or an
+    only one ten.
     """
     rests = [_rests(one) for one in recordings]
     every = [rest for own in rests for rest in own]
@@ -70,7 +71,8 @@ def _alone(rests: Sequence[_Rest]) -> Array:
     if not rests:
         return np.zeros(3)
     speeds, stds = np.array([rest.speed for rest in rests]), np.array([rest.std for rest in rests])
-    clear = (np.abs(speeds) > np.maximum(_ALONE, _ALONE_STDS * stds)).all(axis=0)
+    least_stds = _ALONE_STDS * (1.0 if len(rests) > 1 else _ONLY)
+    clear = (np.abs(speeds) > np.maximum(_ALONE, least_stds * stds)).all(axis=0)
     clear &= np.abs(np.sign(speeds).sum(axis=0)) == len(rests)
     least = np.take_along_axis(speeds, np.abs(speeds).argmin(axis=0)[None], axis=0)[0]
     return np.where(clear, least, 0.0)
@@ -120,6 +122,7 @@ def _measured(at_s: Array, pose: Array) -> list[_Rest]:
         np.array([part.mean(axis=0) for part in np.array_split(rows, means)]) for rows in (at_s, pose)
     )
     speed, std = _line(t_s, values)
+    std = np.maximum(std, _line(at_s, pose)[1])
     half = means // 2
     halves = [_line(t_s[part], values[part])[0] for part in (slice(0, half), slice(means - half, means))]
     spread = _SPREAD * std * (means / half) ** 1.5

@@ -24,6 +24,7 @@ GRID_S, WINDOW_S = 0.02, 0.2
 _BEND_S = 0.2
 """Step of the second derivative by the delay, and of the derivative by that of a wheel, s."""
 _GAPS_LONGER = 1.5
+_ROUNDS, _USUAL = 5, 1.5
 _REST_S, _RESTS_RAD = 0.3, 0.02
 _LEAST = 1e-12
 
@@ -109,13 +110,22 @@ class Drive:
         """Change of the heading against the direction of the path, by turn; the wheels say how they differ.
 
         On a curve it is 0 whatever the distances of the wheels; 0 also where the body turns on the spot.
+        Moves in which the robot slips count less (Huber's weights).
         """
         if self.turns_rad_s == 0.0:
             return 0.0
         beside = np.conj(self.way) * self._moves(late_s, fast)[0]
-        weight = np.abs(beside) / max(float(np.abs(beside).sum()), _LEAST)
-        angle, since = np.angle(beside * np.conj(beside.sum())), self.heading - weight @ self.heading
-        return float((weight * since) @ angle) / max(float((weight * since) @ since), _LEAST)
+        angle, left = np.angle(beside * np.conj(beside.sum())), np.zeros(len(beside))
+        slope = 0.0
+        for _ in range(_ROUNDS):
+            usual = float(np.median(np.abs(left)))
+            weight = np.abs(beside) * np.minimum(1.0, _USUAL * usual / np.maximum(np.abs(left), _LEAST))
+            weight = np.abs(beside) if usual < _LEAST else weight
+            weight /= max(float(weight.sum()), _LEAST)
+            since, off = self.heading - weight @ self.heading, angle - weight @ angle
+            slope = float((weight * since) @ off) / max(float((weight * since) @ since), _LEAST)
+            left = off - slope * since
+        return slope
 
     @property
     def overlap(self) -> float:

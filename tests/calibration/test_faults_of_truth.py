@@ -11,6 +11,8 @@ from hil.cli import main
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.recording_names import MOTIONS
 from hil.datasets.truth_at_rest import with_truth_at_rest
+from hil.datasets.truth_correction import corrected
+from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
 
 
@@ -41,6 +43,14 @@ def second_camera(*step):
         return pose + (away_m > 0.5 * away_m.max())[:, None] * np.array(step)
 
     return change
+
+
+def scaled(x, y, theta):
+    return lambda t_s, pose: pose * np.array([x, y, theta])
+
+
+def sheared(by):
+    return lambda t_s, pose: pose + np.column_stack([by * pose[:, 1], 0.0 * t_s, 0.0 * t_s])
 
 
 def named(recordings, word):
@@ -107,3 +117,39 @@ def test_calibrate_refuses_the_set_and_leaves_one_out(data, tmp_path, capsys):
         out, err = capsys.readouterr()
         assert "while no wheel turns" in err + out
         assert (tmp_path / "c.toml").exists() != many
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (scaled(1.0, 1.0, 1.012), r"turns 1\.01[12] times as far as its path"),
+        (scaled(1.015, 1.0, 1.0), r"depend on their direction, by 1\.[2-6] %"),
+        (sheared(0.015), r"depend on their direction, by 1\.[2-6] %"),
+        (lambda t_s, pose: pose, ""),
+    ],
+    ids=["heading", "axis", "shear", "healthy"],
+)
+def test_a_scale_of_heading_or_axis_is_refused_where_the_body_turns(change, word):
+    """Circles to both sides show it to half a per cent; radii and steering zeros do not look like it."""
+    circles = make_set(hidden_robot(1, contact="coulomb"), 1, ("circle_ccw", "circle_cw"), 1, slip_share=1.0)
+    found = corrected([spoilt(one, change) for one in circles])
+    assert all(bool(one.contradictions) == bool(word) for one in found)
+    assert all(re.search(word, said) for one in found for said in one.contradictions)
+
+
+@pytest.mark.parametrize("contact", ["elastic", "coulomb"])
+@pytest.mark.parametrize("scale", [0.98, 1.0, 1.02])
+def test_circles_of_another_scale_than_lines_are_named(data, contact, scale):
+    """Wheels with dry friction, of which lines to the side differ by a per cent from lines ahead, as well."""
+    own = data if contact == "elastic" else make_set(hidden_robot(23, contact=contact), 23, repetitions=1)
+    circles = [one.name for one in own if one.motion.startswith("circle")]
+    some = [spoilt(one, scaled(scale, scale, 1.0)) if one.name in circles else one for one in own]
+    assert named(with_truth_scales(some), "as lines, to both sides") == (circles if scale != 1.0 else [])
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.02])
+def test_lines_alone_cannot_tell_an_axis_from_slip(data, scale):
+    lines = [spoilt(one, scaled(1.0, scale, 1.0)) for one in data if one.motion.startswith("line")]
+    notes = [note for one in with_truth_scales(lines) for note in one.notes]
+    assert len(notes) == (scale != 1.0)
+    assert all("these recordings cannot tell" in note for note in notes)

@@ -1,0 +1,104 @@
+"""Compares lengths of ground truth between motions: curves against lines, and lines in two directions.
+
+One scale of all lengths is that of the wheel radii. Radii that differ from wheel to wheel make curves to one
+side longer and to the other shorter, in proportion to how much they bend, and leave lines as they are. So
+what curves of both sides have in common and lines have not is no property of the wheels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.datasets.wheel_log import Recording
+from hil.datasets.wheel_stretches import Stretches
+
+_BENT, _STRAIGHT, _MOST_BENT = 0.4, 0.25, 6.0
+"""Curvature of curves, of lines, and up to which curves count, 1/m."""
+_CURVES, _LINES = 0.008, 0.015
+"""Differences that are named: contact with dry friction makes up to 0.002 and 0.0125 of radii 2.5 % apart."""
+_ASIDE_RAD = 0.3
+
+
+@dataclass(frozen=True)
+class _Length:
+    """Way by ground truth over way by wheels, curvature, 1/m, and direction of travel in the body, rad."""
+
+    scale: float
+    bend: float
+    aside_rad: float
+
+
+def with_truth_scales(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings; `contradictions` of curves that are longer than lines; `notes` on unlike lines."""
+    every = [None if one.contradictions else _length(one) for one in recordings]
+    known = [own for own in every if own is not None]
+    out, (off, curves) = list(recordings), _curves_beyond_lines(every)
+    if abs(off) > _CURVES:
+        said = (
+            f"curves are {1.0 + off:.3f} times as long by ground truth as lines, to both sides, for the way "
+            "of their wheels: no wheels do that. Lengths of its ground truth have another scale there, or "
+            "those of the lines; take all recordings with one calibration of the cameras"
+        )
+        for k in curves:
+            out[k] = replace(out[k], contradictions=(*out[k].contradictions, said))
+    unlike = _sideways_beyond_ahead(known)
+    if abs(unlike) > _LINES and out:
+        note = (
+            f"lines to the side are {1.0 + unlike:.3f} times as long by ground truth, for the way of their "
+            "wheels, as lines ahead: either one axis of the capture system has another scale, or the wheels "
+            "slip more in one direction; these recordings cannot tell. Circles would"
+        )
+        out[0] = replace(out[0], notes=(*out[0].notes, note))
+    return out
+
+
+def _length(one: Recording) -> _Length | None:
+    own = Stretches.of(one)
+    if own is None or own.scale is None:
+        return None
+    way = own.moved.mean(axis=1)
+    places = one.nominal.geometry.x_m + 1j * one.nominal.geometry.y_m
+    lever = places - places.mean()
+    turned = (np.conj(1j * lever) * own.moved).real.sum(axis=1) / float((np.abs(lever) ** 2).sum())
+    bend = float(np.sum(turned) / max(np.sum(np.abs(way)), 1e-9))
+    return _Length(own.scale, bend, float(np.angle(np.sum(way**2)) / 2.0))
+
+
+def _curves_beyond_lines(every: Sequence[_Length | None]) -> tuple[float, list[int]]:
+    """Share by which curves are longer than lines, and their indices; 0 without curves to both sides.
+
+    Compared are lines and curves on which the body looks the same way, as contact may differ by direction.
+    The scale of the curves is that at no curvature.
+    """
+    known = [(k, own) for k, own in enumerate(every) if own is not None]
+    lines = [own for _, own in known if abs(own.bend) < _STRAIGHT]
+    curves = [(k, own) for k, own in known if _BENT < abs(own.bend) < _MOST_BENT]
+    found: tuple[float, list[int]] = (0.0, [])
+    for _, one in curves:
+        ways = [own.scale for own in lines if _between(own.aside_rad, one.aside_rad) < _ASIDE_RAD]
+        alike = [(k, own) for k, own in curves if _between(own.aside_rad, one.aside_rad) < _ASIDE_RAD]
+        bends = np.array([own.bend for _, own in alike])
+        if not ways or not bends.min() < 0.0 < bends.max():
+            continue
+        rows = np.column_stack([np.ones_like(bends), bends])
+        scales = np.array([own.scale for _, own in alike])
+        straight = float(np.linalg.lstsq(rows, scales, rcond=None)[0][0])
+        off = straight / float(np.median(ways)) - 1.0
+        found = max(found, (off, [k for k, _ in alike]), key=lambda own: abs(own[0]))
+    return found
+
+
+def _between(one_rad: float, other_rad: float) -> float:
+    """Angle between two directions of travel, rad; ahead and back are one."""
+    return abs((one_rad - other_rad + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+
+
+def _sideways_beyond_ahead(known: Sequence[_Length]) -> float:
+    """Share by which lines to the side are longer than lines ahead; 0 without both, or where curves tell."""
+    lines = [own for own in known if abs(own.bend) < _STRAIGHT]
+    ahead = [own.scale for own in lines if _between(own.aside_rad, 0.0) < _ASIDE_RAD]
+    aside = [own.scale for own in lines if _between(own.aside_rad, 0.5 * np.pi) < _ASIDE_RAD]
+    if not ahead or not aside or any(_BENT < abs(own.bend) < _MOST_BENT for own in known):
+        return 0.0
+    return float(np.median(aside)) / float(np.median(ahead)) - 1.0
