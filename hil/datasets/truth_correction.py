@@ -68,10 +68,10 @@ def corrected(recordings: Sequence[Recording]) -> list[Recording]:
     0.015 rad from that of other repetitions, or a centre that is 20 mm from theirs, is of another body:
     `contradictions` say so. A heading that is more than a radian off is not corrected, it contradicts; half a
     turn is left to `wrong_signs`. What is no clock, heading or centre is not corrected either: poses spread
-    over 0.15 s, one wheel that is 0.03 s later than the others, axes of
-    another scale or sheared by 0.8 %, a heading that drifts by 0.4 mrad/s or turns 0.5 % further, a clock that runs unevenly by
+    over 0.15 s, one wheel that is 0.03 s later than the others, axes of another scale or sheared by 0.8 %, a
+    heading that drifts by 0.4 mrad/s or turns by 0.5 % further than the path, a clock that runs unevenly by
     0.04 s. Each has to be four times its standard error, the last one twice in most recordings. A single
-    recording contradicts from 3 % (axes), 2 mrad/s, or 4 % (scale of all positions) on.
+    recording contradicts from 1.2 % (axes), 1 mrad/s, or 4 % (scale of all positions) on.
     """
     fits = [None if one.contradictions else truth_fit(one) for one in recordings]
     found = _common(recordings, fits)

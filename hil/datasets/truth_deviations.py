@@ -19,7 +19,7 @@ _DRIFT_RAD_S, _DRIFT_STD_RAD_S, _SKEW, _SKEW_STD = 4e-4, 2.5e-3, 4e-3, 0.01
 _TURNS, _TURNS_STD, _CLEARLY = 5e-3, 0.02, 4.0
 _UNEVEN_S, _UNEVEN_STDS = 0.04, 2.0
 _WHEEL_S, _WHEEL_STD_S, _WHEEL_ALONE_STD_S = 0.03, 0.1, 0.03
-_DRIFT_ALONE_RAD_S, _SKEW_ALONE, _SCALE_ALONE = 2e-3, 0.015, 0.04
+_DRIFT_ALONE_RAD_S, _SKEW_ALONE, _SCALE_ALONE = 1e-3, 6e-3, 0.04
 """Bounds for a recording that differs from the others of its set."""
 _ALIKE, _ALONE = 0.8, 3.0
 _TRANSIENT = (SMOOTHED, UNEVEN, *WHEELS)
@@ -142,7 +142,8 @@ def beyond_alone(fit: TruthFit, typical_scale: float) -> tuple[str, ...]:
     """
     if transient := _transient_alone(fit):
         return (transient,)
-    out, off, skew, drift = [], fit.scale - typical_scale, fit.causes[SKEW], fit.causes[DRIFT]
+    out, skew, drift = list[str](), fit.causes[SKEW], fit.causes[DRIFT]
+    off = min((fit.scale - typical_scale, fit.scale_of_middle - typical_scale), key=abs)
     if _clear(skew.size, 2.0 * skew.std, _SKEW_ALONE, _SKEW_STD):  # slip is a skew where a path bends once
         out.append(
             f"lengths in its ground truth depend on their direction, by {200 * skew.size:.1f} %: one "

@@ -84,6 +84,11 @@ class TruthFit:
     heading_beyond_path: float
     causes: Mapping[str, Cause]
 
+    @property
+    def scale_of_middle(self) -> float:
+        """Distance by ground truth over distance by wheels, if the middle of the wheels were tracked."""
+        return abs(self.direction[0])
+
     def heading_with(self, centre_m: complex) -> float:
         """Heading of the ground truth minus the direction of the wheels, rad, with a known tracked point."""
         at, by_x, by_y = self.direction
