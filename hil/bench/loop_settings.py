@@ -50,6 +50,8 @@ _SIGMAS, _SESSION_SCALE = 4.0, 0.01
 _CYCLES_LATE = 2.0
 _LEAST_ALONG = 0.5
 """Share of gravity along the surface from which the drives' work shows the weight."""
+_LEAST_FORCE, _HALVINGS = 0.96, 12
+"""Share of its set-point that a fan surely makes: 2 % by its own speed, 2 % by the load cells."""
 _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
@@ -68,9 +70,34 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
         wheel_speed_m_s=control.wheel_speed_m_s,
         wheel_acceleration_m_s2=control.acceleration_m_s2,
         heading_limit_rad=heading_limit_rad if config.environment.on_wall else None,
+        friction_rad=_by_friction(config, heading_limit_rad),
         x_range_m=config.environment.x_range_m,
         y_range_m=config.environment.y_range_m,
     )
+
+
+def _by_friction(config: BenchConfig, limit_rad: float) -> tuple[float, float] | None:
+    """Headings between which no wheel uses more friction than the supervisor allows; None for no bound."""
+    limits = adhesion_limits(config)
+    if limits is None or not config.environment.on_wall or config.safety.tethered:
+        return None
+    force_n, thrust_n = _LEAST_FORCE * force_wanted_n(config), thrust_wanted_n(config)
+
+    def used(heading_rad: float) -> float:
+        return max(limits.statics.utilisation(force_n, thrust_n, heading_rad))
+
+    if used(0.0) > limits.utilisation:  # told before the robot moves, with the force that is measured
+        return None
+    sides = []
+    for inside, outside in ((0.0, -limit_rad), (0.0, limit_rad)):
+        if used(outside) <= limits.utilisation:
+            sides.append(outside)
+            continue
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if used(middle) <= limits.utilisation else (inside, middle)
+        sides.append(inside)
+    return sides[0], sides[1]
 
 
 def safety_limits(config: BenchConfig) -> SafetyLimits:

@@ -30,12 +30,15 @@ class MotionLimits:
     Attributes:
         wheel_speed_m_s, wheel_acceleration_m_s2: largest speed and acceleration of each wheel.
         heading_limit_rad: largest heading on a wall, either side; None on the floor.
+        friction_rad: lowest and highest heading at which no wheel uses more than its share of friction; None
+            where that is not known, or on the floor.
         x_range_m, y_range_m: usable part of the wall; None for no bound.
     """
 
     wheel_speed_m_s: float = 0.122
     wheel_acceleration_m_s2: float = 0.2
     heading_limit_rad: float | None = None
+    friction_rad: tuple[float, float] | None = None
     x_range_m: tuple[float, float] | None = None
     y_range_m: tuple[float, float] | None = None
 
@@ -188,6 +191,12 @@ def _held(pose: Array, twist: Array, pull: Array, projection: Array, limits: Mot
     ]
     if limits.heading_limit_rad is not None:
         found.append(_Held("heading on the wall (rad)", np.abs(pose[:, 2]), limits.heading_limit_rad))
+    if limits.friction_rad is not None and len(pose):
+        low_rad, high_rad = limits.friction_rad
+        start_rad = float(pose[0, 2])  # from beyond it there has to be a way back
+        low_rad, high_rad = min(low_rad, start_rad), max(high_rad, start_rad)
+        label = "heading on the wall (rad), by safety.utilisation_limit"
+        found += [_Held(label, pose[:, 2], high_rad), _Held(f"-{label}", -pose[:, 2], -low_rad)]
     for axis, bounds in enumerate((limits.x_range_m, limits.y_range_m)):
         if bounds is not None:
             label = f"{'xy'[axis]} on the wall (m)"

@@ -7,8 +7,7 @@ gyro and camera against the configured signs. Corrected signs are left as a frag
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,8 @@ from hil.bench.cross_checks.parameters import advice
 from hil.bench.doctor.steering_offsets import encoder_minus_servo
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
-from hil.core.cross_check import CrossCheck, Unit
+from hil.config.robot_record.parts import part_of
+from hil.core.cross_check import CrossCheck
 from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.registry import kinds
@@ -32,6 +32,7 @@ from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import inertial, integrated, poses
 from hil.procedure.tracking_errors import enable_hold
 from hil.procedures.bring_up.body_sensor import wrong_axes, wrong_place, wrong_turns
+from hil.procedures.bring_up.body_steps import camera_checks, steered_off, step_checks
 from hil.procedures.bring_up.jogs import (
     DriveJogs,
     SteerJogs,
@@ -59,17 +60,7 @@ _PUSHES = 0.5
 """Least cosine between measured and expected push of a drive."""
 _CLEAR = 0.5
 """Least measured value of a clear direction: below it something else moved, or hardly anything."""
-_MOST_DRIFT_PPM = 90.0
-_SHOWN_BY_STEPS = {
-    ("odometry", False): ("robot.wheel_radius_m",),
-    ("odometry", True): ("robot.wheel_x_m", "robot.wheel_y_m"),
-    ("tracker", False): ("tracker.scale",),
-}
-"""Keys that scale the steps of the body by a sensor: those along the surface, and turns."""
-_SAME = 0.06
-"""Difference of a response from 1 up to which it confirms a key: the share that slip costs."""
-_UNITS: Mapping[str, Unit] = {"mocap.body": "rad"}
-"""Units of differences that are no share, by key."""
+_MOST_DRIFT_PPM, _NOTHING_KNOWN_PPM = 90.0, 1e6
 _SHOWN_BY_MOTION = {
     "alignment": ("drive_sign", "steer_sign"),
     "servos": ("drive_ids", "steer_ids"),
@@ -156,14 +147,16 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
         )
         if kinds()[name].has_own_clock:
             yield Measurement(
-                f"{name}.clock_drift",
-                "ppm",
-                low=-_MOST_DRIFT_PPM,
-                high=_MOST_DRIFT_PPM,
-                marginal=10.0,
-                rationale="device clock against bench clock, positive is fast; drivers follow up to 100",
+                f"{name}.clock_drift", "ppm", rationale="device clock against bench clock, positive is fast"
             )
             yield Measurement(f"{name}.clock_drift_uncertainty", "ppm", rationale="half of the 95 % interval")
+            yield Measurement(
+                f"{name}.clock_drift_least",
+                "ppm",
+                high=_MOST_DRIFT_PPM,
+                marginal=10.0,
+                rationale="size of the drift less its uncertainty; drivers follow up to 100",
+            )
     yield Measurement(
         "contradicted",
         "1",
@@ -171,6 +164,12 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
         rationale="keys of the bench file that sensors contradict and no procedure finds; nothing is moved",
     )
     yield from _of_directions(p)
+    yield Measurement(
+        "contradicted_by_steps",
+        "1",
+        high=0.0,
+        rationale="keys of the bench file that the steps of the body contradict and no procedure finds",
+    )
 
 
 def _of_directions(p: Parameters) -> Iterator[Measurement]:
@@ -291,29 +290,25 @@ def run(ctx: Context) -> None:
         ctx.note("The body was not moved: first correct everything that failed above.")
         return
     with ctx.step("body", timeout_s=120.0):
-        off = move_body(ctx, bench)
+        shown = move_body(ctx, bench)
+    for check in bench.parameters.take(check for check in shown if check.state == "contradicted"):
+        ctx.note(f"{check.text}; {advice(check)}.")
+    wrong = [check for check in shown if check.state == "contradicted" and part_of(check.key) is None]
+    ctx.measure("contradicted_by_steps", len(wrong))
     leave_part(ctx, "signs", values=_signs(ctx))
     if ctx.passing():
-        bench.parameters.take(_confirmed(ctx, off))
+        bench.parameters.take([*_confirmed(ctx), *shown])
 
 
-def _confirmed(ctx: Context, off: Mapping[str, float]) -> Iterator[CrossCheck]:
-    """Yield the keys of the bench file that small motions confirm, and by how much they were off."""
+def _confirmed(ctx: Context) -> Iterator[CrossCheck]:
+    """Yield the choices of the bench file, as signs, that small motions confirm."""
     config = ctx.source.config
-    tables = {**config.devices(), "alignment": config.alignment, "robot": config.robot}
-    shown = [
-        (f"{table}.{key}", math.nan)
-        for table, keys in _SHOWN_BY_MOTION.items()
-        if table in ("alignment", *ctx.parameters.devices)
-        for key in keys
-    ]
-    for key, differs in (*shown, *((key, size) for key, size in off.items() if abs(size) <= _SAME)):
-        table, _, name = key.partition(".")
-        value = getattr(tables[table], name)
-        if value is not None:
-            within, unit = (_SAME if key in off else math.nan), _UNITS.get(key, "1")
-            by = "small motions"
-            yield CrossCheck(key, value, "confirmed", by, value, differs, within=within, unit=unit)
+    tables = {**config.devices(), "alignment": config.alignment}
+    for table, keys in _SHOWN_BY_MOTION.items():
+        if table in ("alignment", *ctx.parameters.devices):
+            for key in keys:
+                if (value := getattr(tables[table], key)) is not None:
+                    yield CrossCheck(f"{table}.{key}", value, "confirmed", "small motions", value)
 
 
 def _signs(ctx: Context) -> dict[str, Any]:
@@ -399,12 +394,16 @@ def _measure_stream(ctx: Context, name: str, stream: Stream) -> None:
                 f"{name}: {taken_ms:.0f} ms of its age are what the bench file says: look at {name}.{key}."
             )
     if kinds()[name].has_own_clock:
-        ctx.measure(f"{name}.clock_drift", stream.drift_ppm)
-        ctx.measure(f"{name}.clock_drift_uncertainty", stream.drift_uncertainty_ppm)
-        if stream.drift_uncertainty_ppm > _MOST_DRIFT_PPM:
+        drift_ppm, uncertain_ppm = stream.drift_ppm, stream.drift_uncertainty_ppm
+        if stream.too_short:
+            drift_ppm, uncertain_ppm = 0.0, _NOTHING_KNOWN_PPM
+        ctx.measure(f"{name}.clock_drift", drift_ppm)
+        ctx.measure(f"{name}.clock_drift_uncertainty", uncertain_ppm)
+        ctx.measure(f"{name}.clock_drift_least", max(0.0, abs(drift_ppm) - uncertain_ppm))
+        if uncertain_ppm > _MOST_DRIFT_PPM:
             ctx.note(
-                f"{name}: samples came too unevenly to judge the drift of its clock. Watch it for longer "
-                "(--set watch_s=60), on a computer that does nothing else."
+                f"{name}: the drift of its clock is not known: too few samples, or they came too unevenly. "
+                "Watch it for longer (--set watch_s=60), on a computer that does nothing else."
             )
 
 
@@ -452,64 +451,85 @@ def _turned(configured: tuple[int, ...], found: Array) -> list[int]:
     return [c * (int(f) or 1) for c, f in zip(configured, found, strict=True)]
 
 
-def move_body(ctx: Context, bench: Bench) -> dict[str, float]:
+def move_body(ctx: Context, bench: Bench) -> list[CrossCheck]:
     """Move the body a little along each axis and compare the sensors.
 
     Returns:
-        Keys of the bench file that scale the steps by a sensor, and their largest difference from those of
-        the body, relative.
+        What the steps say of the bench file.
     """
     p: Parameters = ctx.parameters
-    rows, off = [], dict[str, float]()
+    sources = [name for name in ("mocap", "tracker") if name in p.devices]
+    ways = {name: np.zeros((3, 3)) for name in ("odometry", *sources)}
+    rows, off, found = [], np.full(4, np.nan), list[CrossCheck]()
     for axis, name in enumerate(("x", "y", "heading")):
         pose = enable_hold(bench)
         motion = bench.drive(steps(p, pose)[axis], feedback="odometry", hold_s=0.5, start_pose=pose)
-        true = _went(motion, p.body, axis)
+        ways["odometry"][axis] = _by_wheels(motion)
+        for source in sources:
+            ways[source][axis] = [_went(motion, source, k) for k in range(3)]
+        true = float(ways[p.body][axis, axis])
         row = [name, f"{true * (_DEG if axis == 2 else 1e3):+.2f}"]
-        seen = {"odometry": float((motion.estimate[-1] - motion.estimate[0])[axis])}
-        if "tracker" in p.devices and p.body != "tracker":
-            seen["tracker"] = _went(motion, "tracker", axis)
+        seen = {sensor: float(way[axis, axis]) for sensor, way in ways.items() if sensor != p.body}
         for sensor, went in seen.items():
             ctx.measure(f"{sensor}.{name}_response", went / true)
             note_explanation(ctx, "servos" if sensor == "odometry" else sensor, went / true, axis)
-            for key in _SHOWN_BY_STEPS.get((sensor, axis == 2), ()):
-                off[key] = max(off.get(key, 0.0), went / true - 1.0, key=abs)
             row.append(f"{went * (_DEG if axis == 2 else 1e3):+.2f}")
         if axis == 2 and "imu" in p.devices:
             data = inertial(motion)
             response = float(integrated(data.t_s, data[0])[-1]) / true
             ctx.measure("imu.gyro_response", response)
             note_explanation(ctx, "imu", response, axis)
-        if axis == 0 and p.body == "mocap":  # up a wall a robot does not sag to its side
-            off["mocap.body"] = math.atan2(_went(motion, "mocap", 1), true)
+        if axis == 0 and "encoders" in p.devices:
+            off = steered_off(bench.config, motion)
         if axis == 2:
-            _compare_axes(ctx, bench, motion, true)
+            found = _compare_axes(ctx, bench, motion, true)
         rows.append(row)
     head = ["step", p.body, *seen]
     ctx.table("Small steps of the body", head, rows, "mm, and deg for the turn.")
-    return off
+    judged = step_checks(bench.config, ways, off) if p.body == "mocap" else camera_checks(bench.config, ways)
+    parts = 3 if len(sources) == 2 and bench.config.environment.on_wall else 2
+    return list(_mounts(bench, [*found, *judged], {"tracker.mount_rotation_wxyz": parts}))
 
 
-def _compare_axes(ctx: Context, bench: Bench, motion: Motion, turned_rad: float) -> None:
-    """Compare the axis of a turn by IMU and camera with the normal of the surface."""
+def _compare_axes(ctx: Context, bench: Bench, motion: Motion, turned_rad: float) -> list[CrossCheck]:
+    """Compare the axis of a turn by IMU and camera with the normal of the surface, and the camera's place."""
     found = list(turn_checks(bench.config, motion, turned_rad))
     if bench.has("tracker") and ctx.parameters.body == "mocap":
         seen_m, true_m = (
             complex(_went(motion, name, 0), _went(motion, name, 1)) for name in ("tracker", "mocap")
         )
         found += place_checks(bench.config, abs(seen_m - true_m) / abs(turned_rad))
-    known = [c for c in found if c.state != "confirmed" or not c.beside or bench.parameters.partly(c.key)]
-    for check in bench.parameters.take(_whole(check, bench) for check in known):
-        ctx.note(f"{check.text}; {advice(check)}.")
+    return found
 
 
-def _whole(check: CrossCheck, bench: Bench) -> CrossCheck:
-    """A confirmation of a mount together with what gravity has shown of it: the larger difference counts."""
-    other = bench.parameters.partly(check.key) if check.beside else None
-    if other is None:
-        return check
-    off_rad = max(other.difference, check.difference, key=abs)
-    return check._replace(beside="", difference=off_rad, within=max(other.within, check.within))
+def _mounts(bench: Bench, found: Sequence[CrossCheck], needed: Mapping[str, int]) -> Iterator[CrossCheck]:
+    """Yield the results; of mounts a whole one, where gravity, a turn, and steps have each shown a part.
+
+    Args:
+        bench: the bench, which has asked gravity.
+        found: results of steps and turns; those of a part have a `beside`.
+        needed: number of parts that make a whole mount, by key.
+    """
+    parts: dict[str, list[CrossCheck]] = {}
+    for check in found:
+        if check.beside:
+            parts.setdefault(check.key, []).append(check)
+        else:
+            yield check
+    for key, some in parts.items():
+        whole = [*filter(None, [bench.parameters.partly(key)]), *some]
+        if len(whole) >= needed.get(key, 2):
+            off_rad = max((part.difference for part in whole), key=abs)
+            within = max(part.within for part in whole)
+            yield some[0]._replace(beside="", difference=off_rad, within=within)
+
+
+def _by_wheels(motion: Motion) -> Array:
+    """Return the step (3,) by the wheels, m, m, rad, in body axes at the start."""
+    first, last = motion.estimate[0], motion.estimate[-1]
+    c, s = np.cos(first[2]), np.sin(first[2])
+    dx, dy, turn = last - first
+    return np.array([c * dx + s * dy, c * dy - s * dx, turn])
 
 
 def _went(motion: Motion, source: str, axis: int) -> float:

@@ -12,6 +12,8 @@ from hil.loop.driven_motion import Motion
 from hil.procedure.sample_arrays import Series, arrivals, camera, encoders, inertial, poses, wheels
 
 _BLOCKS = 24
+_FEWEST = 4 * _BLOCKS
+"""Samples from which a drift is known."""
 _RUN = 20
 """Samples over which a period is taken: bunches even out."""
 
@@ -27,6 +29,7 @@ class Stream:
         age_s: time from measurement to arrival: median and 99th percentile.
         drift_ppm: device clock against the bench clock, positive if it runs fast; NaN without one.
         drift_uncertainty_ppm: half of the 95 % interval.
+        too_short: True if there are too few samples for a drift.
         lag: (2, n) time and smallest delay against the device's clock per block, s, for a figure.
     """
 
@@ -37,6 +40,7 @@ class Stream:
     drift_ppm: float
     drift_uncertainty_ppm: float
     lag: Array
+    too_short: bool = False
 
 
 def series_of(device: str, motion: Motion, config: BenchConfig) -> Series:
@@ -78,7 +82,8 @@ def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
     duration_s = float(motion.t_s[-1])
     if len(series) < 10:
         nothing = (np.nan,) * 3
-        return Stream(len(series) / duration_s, 0.0, nothing, nothing[:2], np.nan, np.nan, np.empty((2, 0)))
+        empty = np.empty((2, 0))
+        return Stream(len(series) / duration_s, 0.0, nothing, nothing[:2], np.nan, np.nan, empty)
     gaps, age = np.diff(series.t_s), series.host_s - series.t_s
     drift, uncertainty, lag = clock_drift(series, series.t_s if device == "encoders" else series.host_s)
     return Stream(
@@ -89,6 +94,7 @@ def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
         drift,
         uncertainty,
         lag,
+        too_short=len(series) < _FEWEST,
     )
 
 
@@ -104,7 +110,7 @@ def clock_drift(series: Series, arrived_s: Array) -> tuple[float, float, Array]:
             (encoders) the time of measurement is their arrival.
     """
     known = np.isfinite(series.device_s)
-    if known.sum() < 4 * _BLOCKS:
+    if known.sum() < _FEWEST:
         return np.nan, np.nan, np.empty((2, 0))
     at, device = arrived_s[known], series.device_s[known]
     delay = at - device
