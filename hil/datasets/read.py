@@ -16,6 +16,7 @@ from hil.datasets.drive_coverage import covered
 from hil.datasets.duplicates import without_copies
 from hil.datasets.mapped_recordings import PUBLIC, read_mapped
 from hil.datasets.misplaced_columns import with_misplaced_columns
+from hil.datasets.near_copies import without_near_copies
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
 from hil.datasets.topic_map import TopicMap, read_topic_map
@@ -118,7 +119,8 @@ def read_recordings(
     """Read every run under the given files and folders.
 
     A run that occurs more than once is used once, and a repair mentions it: a file named directly and by its
-    folder, or a copy at another place with other line ends or compression. Otherwise it would count twice,
+    folder, or a copy at another place with other line ends or compression, also where its rows were cut,
+    resampled or changed a little. Otherwise it would count twice,
     and in a cross-validation its copy would stay in the fit when it is left out. The readable part of a
     damaged recording is used; its `problems` name the damage.
 
@@ -158,7 +160,7 @@ def read_recordings(
         times = _times_given(jobs[job.identity])
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
-    out = decoupled(named_apart(without_copies(out)), robot.geometry, coupling)
+    out = decoupled(without_near_copies(named_apart(without_copies(out))), robot.geometry, coupling)
     out = corrected(with_angle_faults(with_misplaced_columns(out, robot)))
     out = with_truth_scales(with_truth_seams(with_truth_at_rest(out)))
     out = with_odometry_in_truth(with_other_sessions(out))
