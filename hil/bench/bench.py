@@ -359,6 +359,8 @@ class Bench(HeldDevices):
     def _ended_by(self, _: object, error: BaseException | None, __: object) -> None:
         """Store the error that has ended a run, and that of a failed device; the error is still raised."""
         self.stopped_by = str(error) if isinstance(error, HilError) else ""
+        if isinstance(error, SafetyStop):
+            self.parameters.stopped(error.reason, str(error))
         if isinstance(error, DeviceError):
             self.lost.append(str(error))
             said = str(error).removeprefix(f"{error.device}: ")

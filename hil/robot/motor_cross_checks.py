@@ -130,7 +130,9 @@ def impossible(ratings: MotorRatings, now: Reading) -> CrossCheck | None:
     fastest_rpm = _FREE_SHARE * ratings.rpm_per_v * now.input_v
     if speed_rpm > fastest_rpm:
         by = f"{ratings.rpm_per_v:g} 1/min per V ({table}.rpm_per_v) at {now.input_v:.1f} V"
-        text = f"{said}: {by} are at most {fastest_rpm / _FREE_SHARE:.0f}; look at {poles}"
+        text = (
+            f"{said}: {by} are at most {fastest_rpm / _FREE_SHARE:.0f}; look at {poles} and {table}.rpm_per_v"
+        )
         return _contradiction(ratings, now, by, speed_by_voltage_rpm(ratings, now), text)
     force_n = ratings.force_at_n(speed_rpm)
     if force_n > FORCE_SHARE * ratings.highest_n:

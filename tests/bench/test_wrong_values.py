@@ -228,6 +228,32 @@ def test_what_nothing_measures_is_named_where_it_lets_the_robot_go(key, said, tr
 
 
 @pytest.mark.parametrize(
+    ("key", "said", "true"),
+    [
+        ("adhesion.pole_pairs", 4, 3),
+        ("adhesion.rpm_per_v", 875.0, 1750.0),
+        ("thrust.rpm_per_v", 1800.0, 900.0),
+        ("thrust.pole_pairs", 14, 7),
+    ],
+)
+def test_the_key_of_a_stop_is_contradicted(key, said, true):
+    vesc = {"thrust.model": "vesc"} if key.startswith("thrust") else {}
+    bench = opened({**wrong(key, said, true), **vesc, "load_cells": None})
+    with pytest.raises(SafetyStop), bench:
+        bench.drive(UP)
+    rows = {row.key: row.state for row in bench.parameters.rows()}
+    assert rows[key] == "contradicted"
+    assert rows["robot.mass_kg"] == "unconfirmed"
+
+
+def test_a_fan_that_is_too_weak_contradicts_no_number():
+    bench = opened({**wrong("adhesion.rated_force_n", 22.5, 45.0), "load_cells": None})
+    with pytest.raises(SafetyStop, match="adhesion"), bench:
+        bench.drive(UP)
+    assert "contradicted" not in {row.state for row in bench.parameters.rows()}
+
+
+@pytest.mark.parametrize(
     ("source", "ratio", "turns", "key"),
     [
         ("tracker", 0.8, False, "tracker.scale"),

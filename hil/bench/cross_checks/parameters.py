@@ -1,6 +1,7 @@
 """The parameters of one bench, and what measurements have said about each of them so far."""
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -20,6 +21,13 @@ from hil.loop.checks.lifting_work import FITS_SHARE, WeightCheck
 
 OF_NO_DEVICE = ("environment", "robot", "alignment")
 """Tables without a device that have parameters."""
+_BY_REPORTS = ("adhesion", "adhesion_disagree", "thrust_disagree")
+"""Reasons of stops in which reports of fan, propellers and load cells are compared."""
+_KEY = re.compile(r"[a-z_]+\.[a-z_]+")
+_LOOK_AT = re.compile(
+    rf"look at ({_KEY.pattern}(?:(?:, then at the reported speed, and at |, | and ){_KEY.pattern})*)"
+)
+"""Keys to look at; devices in their place are no numbers of the bench file."""
 RESTING = ("servos", "encoders", "imu", "tracker", "mocap", "adhesion", "load_cells")
 """Devices whose samples at rest say something about a parameter."""
 
@@ -64,6 +72,22 @@ class Parameters:
             self._moved[key] = CrossCheck(
                 key, value, "contradicted", event.source, says, event.factor - 1.0, event.message
             )
+
+    def stopped(self, reason: str, text: str) -> None:
+        """Take the keys to which reports of fan and propellers that contradict each other point.
+
+        Args:
+            reason: reason of a stop.
+            text: the stop in words, with its keys right after "look at".
+        """
+        if reason not in _BY_REPORTS:
+            return
+        for named in _LOOK_AT.findall(text):
+            for key in _KEY.findall(named):
+                if (value := self._value(key)) is not None:
+                    self._moved[key] = CrossCheck(
+                        key, value, "contradicted", "the stop of the robot", text=text
+                    )
 
     def lifted(self, check: WeightCheck | None) -> None:
         """Take the work of the drives of a run, where it fits the weight."""

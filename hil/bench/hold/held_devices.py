@@ -20,7 +20,7 @@ from hil.bench.reconnect import reconnecting
 from hil.bench.seen_events import SeenEvents
 from hil.bench.unreached_faults import ended_before, not_begun, not_met_in_words
 from hil.core.clock import Clock
-from hil.core.errors import UsageError, check_number
+from hil.core.errors import SafetyStop, UsageError, check_number
 from hil.core.interfaces import HELD_NOTE, Sink
 from hil.core.watched_robot import WatchedRobot
 from hil.faults.fault import Fault
@@ -93,7 +93,9 @@ class HeldDevices:
             if self.on_wall and self.devices.servos is not None:
                 self.devices.servos.enable()
             self._open_ns = self.clock.now_ns()
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, SafetyStop):
+                self.parameters.stopped(error.reason, str(error))
             self.close()
             raise
         return self
