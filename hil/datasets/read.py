@@ -19,6 +19,7 @@ from hil.datasets.misplaced_columns import with_misplaced_columns
 from hil.datasets.near_copies import without_near_copies
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
+from hil.datasets.smooth_rows import with_smooth_rows
 from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_at_rest import with_truth_at_rest
 from hil.datasets.truth_correction import corrected
@@ -161,8 +162,9 @@ def read_recordings(
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(without_near_copies(named_apart(without_copies(out))), robot.geometry, coupling)
+    out = with_truth_at_rest(with_smooth_rows(out))
     out = corrected(with_angle_faults(with_misplaced_columns(out, robot)))
-    out = with_truth_scales(with_truth_seams(with_truth_at_rest(out)))
+    out = with_truth_scales(with_truth_seams(out))
     out = with_odometry_in_truth(with_other_sessions(out))
     check_signs(out, robot, of_all=unusable is not None)
     return with_changed_wheels(out, robot.geometry)

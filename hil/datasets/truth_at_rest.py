@@ -25,6 +25,7 @@ _FLOOR = np.array([5e-6, 5e-6, 2e-5])
 """Least standard error of a speed, m/s, m/s, rad/s: rests of good recordings differ by as much."""
 _COMMON, _COMMON_STD = np.array([1e-4, 1e-4, 7e-5]), np.array([1e-4, 1e-4, 2e-4])
 _ALONE, _ALONE_STDS, _ONLY = np.array([2.5e-4, 2.5e-4, 3e-4]), 5.0, 2.0
+_MOTION = np.array([5e-3, 5e-3, 0.03])
 _EITHER = (
     "either the frame of the capture system moves (a tripod that sinks, a camera that turns), or the robot "
     "slides; recordings cannot tell these apart. Fasten the cameras, or hold the robot"
@@ -41,23 +42,26 @@ class _Rest:
 
 
 def with_truth_at_rest(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings; `contradictions` name, first, ground truth that moves while no wheel turns.
+    """The recordings; `contradictions` name ground truth that moves while no wheel turns.
 
     In a set it is named from 0.1 mm/s or 0.07 mrad/s on, four standard errors of all rests together; in a
     single recording from 0.25 mm/s or 0.3 mrad/s on, if each of its rests shows five standard errors, or an
     only one ten.
     """
-    rests = [_rests(one) for one in recordings]
-    every = [rest for own in rests for rest in own]
+    found = [
+        [] if one.contradictions else [rest for rows in rests(one) for rest in _measured(*rows)]
+        for one in recordings
+    ]
+    every = [rest for own in found for rest in own]
     common = np.array([_common(every, k) for k in range(3)])
     if common.any():
         said = f"{_in_words(common, every)} (all {len(every)} rests of the set): {_EITHER}"
-        return [replace(one, contradictions=(said, *one.contradictions)) for one in recordings]
+        return [replace(one, contradictions=(*one.contradictions, said)) for one in recordings]
     out = []
-    for one, own in zip(recordings, rests, strict=True):
+    for one, own in zip(recordings, found, strict=True):
         alone = _alone(own)
         said = f"{_in_words(alone, own)} ({_count(own)}): {_EITHER}"
-        out.append(replace(one, contradictions=(said, *one.contradictions)) if alone.any() else one)
+        out.append(replace(one, contradictions=(*one.contradictions, said)) if alone.any() else one)
     return out
 
 
@@ -92,8 +96,8 @@ def _count(rests: Sequence[_Rest]) -> str:
     return f"{len(rests)} rest{'s' if len(rests) > 1 else ''}, {lasts_s:.1f} s"
 
 
-def _rests(one: Recording) -> list[_Rest]:
-    """The rests of a recording that are long enough, without the time in which its tyres relax."""
+def rests(one: Recording) -> list[tuple[Array, Array]]:
+    """Times (n,), s, and poses (n, 3) in the rests of a recording, without the time in which tyres relax."""
     if not one.has_truth or one.of_twist:
         return []
     grid_s = np.arange(one.t_s[0], one.t_s[-1], _GRID_S)
@@ -111,12 +115,15 @@ def _rests(one: Recording) -> list[_Rest]:
         end_s = grid_s[end] - _BEFORE_S if end < len(still) else one.t_s[-1]
         rows = (one.truth_t_s >= begin_s) & (one.truth_t_s <= end_s)
         if end_s - begin_s >= _LEAST_USED_S and np.count_nonzero(rows) >= _ROWS:
-            out += _measured(one.truth_t_s[rows], one.truth_pose[rows])
+            out.append((one.truth_t_s[rows], one.truth_pose[rows]))
     return out
 
 
 def _measured(at_s: Array, pose: Array) -> list[_Rest]:
-    """The speed of poses (n, 3) at times (n,), s; none where it changes, as at the begin of a motion."""
+    """The speed of poses (n, 3) at times (n,), s; none where it changes, or is that of a motion.
+
+    So it is where the clock of the ground truth is late or early.
+    """
     means = min(_MEANS, max(_FEWEST, len(at_s) // 5))
     t_s, values = (
         np.array([part.mean(axis=0) for part in np.array_split(rows, means)]) for rows in (at_s, pose)
@@ -126,7 +133,8 @@ def _measured(at_s: Array, pose: Array) -> list[_Rest]:
     half = means // 2
     halves = [_line(t_s[part], values[part])[0] for part in (slice(0, half), slice(means - half, means))]
     spread = _SPREAD * std * (means / half) ** 1.5
-    if np.any(np.abs(halves[1] - halves[0]) > np.maximum(spread, np.abs(speed))):
+    changes = np.abs(halves[1] - halves[0]) > np.maximum(spread, np.abs(speed))
+    if np.any(changes | (np.abs(speed) > _MOTION)):
         return []
     return [_Rest(speed, np.maximum(std, _FLOOR), float(at_s[-1] - at_s[0]))]
 

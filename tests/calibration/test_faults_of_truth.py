@@ -5,11 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
 from hil.cli import main
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.recording_names import MOTIONS
+from hil.datasets.sampling import interpolate
+from hil.datasets.smooth_rows import with_smooth_rows
 from hil.datasets.truth_at_rest import with_truth_at_rest
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_scales import with_truth_scales
@@ -100,8 +103,9 @@ def test_slip_and_noise_are_neither(seed):
     assert not any(one.contradictions for one in with_truth_seams(with_truth_at_rest(made)))
 
 
-def test_a_truth_that_is_late_does_not_drift(data):
-    late = [replace(one, truth_t_s=one.truth_t_s - 0.6) for one in data]
+@pytest.mark.parametrize("by_s", [-2.0, -0.6, -0.3, 0.3, 0.6, 2.0])
+def test_a_truth_that_is_late_does_not_drift(data, by_s):
+    late = [replace(one, truth_t_s=one.truth_t_s + by_s) for one in data]
     assert not any(one.contradictions for one in with_truth_at_rest(late))
 
 
@@ -159,3 +163,39 @@ def test_bursts_on_a_line_are_no_other_scale():
     """With a tracked point a decimetre off, this line seems to be 4 % shorter than the others."""
     made = make_set(hidden_robot(23, contact="coulomb"), 23, ("line_x", "line_y"), 3)
     assert not any(one.contradictions for one in corrected(made))
+
+
+def filled(curve, period_s):
+    """Poses of a slow source, filled up to the rate of the file along curves."""
+
+    def change(t_s, pose):
+        at_s = np.linspace(0.0, t_s[-1], round(t_s[-1] / period_s) + 1)
+        return curve(at_s, np.column_stack([np.interp(at_s, t_s, c) for c in pose.T]), axis=0)(t_s)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("curve", "period_s"),
+    [(CubicSpline, 0.25), (CubicSpline, 0.5), (CubicSpline, 1.0), (PchipInterpolator, 0.5)],
+)
+def test_poses_filled_in_by_curves_are_named(data, curve, period_s):
+    some = [spoilt(one, filled(curve, period_s)) for one in data[::2]]
+    assert named(with_smooth_rows(some), "filled in by curves") == [one.name for one in some]
+    assert named(with_smooth_rows(data), "filled in by curves") == []
+
+
+def test_calibrate_refuses_poses_filled_in_by_curves(data, tmp_path, capsys):
+    for one in data[::2]:
+        write_plain(tmp_path / f"{one.name}.csv", spoilt(one, filled(CubicSpline, 0.5)))
+    assert main(["calibrate", str(tmp_path), "--no-validation"]) == 2
+    err = capsys.readouterr().err
+    assert "filled in by curves" in err
+    assert "fast" not in err
+
+
+def test_a_truth_without_noise_is_not_called_filled_in(data):
+    """At rest it does not move at all."""
+    one = data[0]
+    still = interpolate(one.truth_t_s, one.t_s, np.round(one.wheel_angle_rad[:, :3], 3))
+    assert with_smooth_rows([replace(one, truth_pose=still)])[0].contradictions == ()
