@@ -14,6 +14,7 @@ from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.changed_wheels import with_changed_wheels
 from hil.datasets.drive_coverage import covered
 from hil.datasets.duplicates import without_copies
+from hil.datasets.late_parts import with_late_parts
 from hil.datasets.mapped_recordings import PUBLIC, read_mapped
 from hil.datasets.misplaced_columns import with_misplaced_columns
 from hil.datasets.near_copies import without_near_copies
@@ -28,6 +29,7 @@ from hil.datasets.truth_of_wheels import with_odometry_in_truth
 from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
 from hil.datasets.truth_sessions import with_other_sessions
+from hil.datasets.unlike_repetitions import with_unlike_repetitions
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wrong_signs import check_signs
@@ -163,7 +165,8 @@ def read_recordings(
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(without_near_copies(named_apart(without_copies(out))), robot.geometry, coupling)
     out = with_truth_at_rest(with_smooth_rows(out))
-    out = corrected(with_angle_faults(with_misplaced_columns(out, robot)))
+    out = with_angle_faults(with_late_parts(with_misplaced_columns(out, robot)))
+    out = corrected(with_unlike_repetitions(out))
     out = with_truth_scales(with_truth_seams(out))
     out = with_odometry_in_truth(with_other_sessions(out))
     check_signs(out, robot, of_all=unusable is not None)

@@ -45,7 +45,7 @@ class _Found:
         centre_m: tracked point (x + iy) in the frame of the body.
         notes: corrections, in words.
         contradiction: deviations that are not corrected, in words.
-        others: headings of recordings of another session, minus those of the other repetitions, by index.
+        others: what is said of recordings of another session, by index.
     """
 
     late: Sequence[bool]
@@ -56,7 +56,7 @@ class _Found:
     centre_m: complex
     notes: tuple[str, ...]
     contradiction: tuple[str, ...]
-    others: Mapping[int, float]
+    others: Mapping[int, str]
 
 
 def corrected(recordings: Sequence[Recording]) -> list[Recording]:
@@ -145,10 +145,10 @@ def _fast_alone(fit: TruthFit, fast: float) -> bool:
 
 
 def _corrected(
-    one: Recording, fit: TruthFit | None, clock: tuple[bool, float], found: _Found, off_rad: float | None
+    one: Recording, fit: TruthFit | None, clock: tuple[bool, float], found: _Found, session: str | None
 ) -> Recording:
     """A recording with its own delay, and with what is common to all, taken out of its ground truth."""
-    unlike = found.contradiction or _unlike(fit, found, off_rad)
+    unlike = found.contradiction or _unlike(fit, found, session)
     late, fast = clock
     if not found.notes and not unlike:
         return one
@@ -170,20 +170,20 @@ def _corrected(
     )
 
 
-def _unlike(fit: TruthFit | None, found: _Found, session_rad: float | None) -> tuple[str, ...]:
-    """Why a recording is of another body than the others; `session_rad` of `_Found.others`."""
+def _unlike(fit: TruthFit | None, found: _Found, session: str | None) -> tuple[str, ...]:
+    """Why a recording is of another body than the others; `session` of `_Found.others`."""
     if fit is None:
         return ()
     if out := list(beyond_alone(fit, found.typical_scale)):
         return tuple(out)
     off_rad, off_m = fit.heading_rad - found.typical_rad, fit.centre_m - found.centre_m
     off_rad = (off_rad + np.pi) % (2.0 * np.pi) - np.pi
-    if fit.heading_std_rad >= _HEADING_STD_RAD or abs(off_rad) < max(_OTHER_RAD, STDS * fit.heading_std_rad):
-        off_rad = 0.0
-    off_rad, others = (off_rad, "recordings") if session_rad is None else (session_rad, "repetitions")
-    if off_rad:
+    far = abs(off_rad) > max(_OTHER_RAD, STDS * fit.heading_std_rad)
+    if session:
+        out.append(session)
+    elif far and fit.heading_std_rad < _HEADING_STD_RAD:
         out.append(
-            f"the heading of its ground truth is {off_rad:.2f} rad off that of the other {others}, or all "
+            f"the heading of its ground truth is {off_rad:.2f} rad off that of the other recordings, or all "
             f"its steering angles are {-off_rad:.2f} rad off theirs (a limit, zeros that were set anew)"
         )
     if fit.centre_std_m < _CENTRE_STD_M and abs(off_m) > _OTHER_M:

@@ -1,166 +1,176 @@
-"""Finds recordings whose ground truth or wheels are others than those of other repetitions of their motion.
+"""Finds recordings whose ground truth has another heading or scale than other repetitions of their motion.
 
 A body that is defined anew for each session, or zeros that are set anew, turn all recordings of a session. A
-capture system that is calibrated anew scales them. Another robot, or other wheels, change all wheels unlike.
+capture system that is calibrated anew scales them, as other wheels do. What makes single wheels differ is
+found by `hil.datasets.unlike_repetitions`.
 """
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from hil.datasets.repetition_groups import Choice, Groups, against, chosen, grouped
 from hil.datasets.truth_deviations import STDS, typical
 from hil.datasets.truth_fit import TruthFit
-from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_stretches import Stretches
 
-_SESSION_RAD, _STD_RAD = 0.015, 0.01
+_SESSION_RAD, _STD_RAD, _NEARER = 0.015, 0.01, 0.5
 _SCALED, _MOTIONS = 0.014, 2
-_OTHERWISE = 0.15
+_OTHERWISE, _STRAIGHT_RAD = 0.15, 0.1
 """Scale from which on it is none of a session: positions of another body, say, which other checks name."""
-_WHEELS_IN_MOST, _MANY = 0.0125, 5
-_WHEELS, _ROBOTS, _DIFFERS, _MOST_WHEELS = 0.02, 0.1, 0.006, 3
-_AS_MANY = (
-    "for the way of their wheels its ground truth and that of other repetitions of its motion differ in "
-    "scale by {:.1f} %, and there are as many of each: which positions are right is not known"
+_NOT_KNOWN = (
+    "repetitions of its motion differ ({}), and no group is the larger one: which is right is not known"
+)
+_HEADING = (
+    "the heading of its ground truth is {:.2f} rad off that of {} other repetitions, which agree, or all its "
+    "steering angles are {:.2f} rad off theirs (a limit, zeros that were set anew)"
+)
+_HEADINGS = (
+    "the heading of its ground truth, or all its steering angles, are {:.2f} rad off those of other "
+    "repetitions: "
+)
+_SCALE = (
+    "by ground truth it goes {:.3f} times as far, for the way of its wheels, as {} other repetitions of its "
+    "motion, which agree: {}"
+)
+_SCALES = (
+    "by ground truth it goes up to {:.1f} % further, for the way of its wheels, than other repetitions: "
+)
+_OF_ALL = "its positions have another scale, or its wheels other radii"
+_OF_TURNS = (
+    "only recordings that turn show it, straight ones of as many repetitions agree: its ground truth tracks "
+    "another point, or its wheels have other places"
 )
 
-_Measured = tuple[float, float, int]
-"""A value, its standard error, and the index of its recording."""
+_Measured = Mapping[int, tuple[float, float]]
+"""A value and its standard error, by index of a recording."""
 
 
 def other_sessions(
     recordings: Sequence[Recording], fits: Sequence[TruthFit | None], centre_m: complex | None
-) -> dict[int, float]:
-    """Headings of recordings that differ from other repetitions of their motion, by the difference, rad.
+) -> dict[int, str]:
+    """Recordings with another heading than other repetitions of their motion, by what is said of them.
 
     Repetitions have the same tolerances and the same slip: their headings differ by less than 0.015 rad and
-    four standard errors. Where they do not, the body or the steering zeros were set anew between them. Of
-    the lowest and the highest headings of all motions the more frequent are kept, or those nearer to 0.
+    four standard errors. Where they do not, the body or the steering zeros were set anew between them. See
+    `hil.datasets.repetition_groups` for those that are kept; headings of other motions may tell.
 
     Args:
         recordings: recordings of one robot.
         fits: their fits.
         centre_m: tracked point, by which a circle shows its heading; None where no turn shows it.
     """
-    by_motion = dict[str, list[_Measured]]()
-    for k, (one, fit) in enumerate(zip(recordings, fits, strict=True)):
+    measured = dict[int, tuple[float, float]]()
+    for k, fit in enumerate(fits):
         if fit is None:
             continue
         own = (fit.heading_rad, fit.heading_std_rad)
         if centre_m is not None:
             own = (fit.heading_with(centre_m), fit.direction_std_rad)
         if own[1] < _STD_RAD:
-            by_motion.setdefault(one.motion, []).append((*own, k))
-    return _others(by_motion, _SESSION_RAD)
+            measured[k] = own
+    motions = _groups(recordings, measured, _SESSION_RAD)
+    single = [measured[k][0] for groups in motions.values() if len(groups) == 1 for k in groups[0]]
+    choice = chosen(motions, _nearer_to(measured, single))
+    out = dict[int, str]()
+    names = [one.name for one in recordings]
+    for k, kept in choice.kept.items():
+        off_rad = measured[k][0] - _middle(measured, kept)
+        out[k] = _HEADING.format(off_rad, len(kept), -off_rad)
+    for k, groups in choice.open.items():
+        out[k] = _HEADINGS.format(_spread(measured, groups)) + _NOT_KNOWN.format(against(groups, names))
+    return out
 
 
 def with_other_sessions(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings; `contradictions` name distances, or wheels, unlike those of other repetitions.
+    """The recordings; `contradictions` name distances unlike those of other repetitions.
 
     Repetitions have the same radii and the same slip: the medians of their scales differ by 0.01 at most. A
-    difference of 0.014 in two motions is one of sessions: the larger one is kept, and none of two that are as
-    large; in a single motion `notes` say so. Wheels differ where three or four of them do in two motions, by
-    0.02 (root mean square, rad and share of the way) and less than 0.1, or by 0.0125 in most of five motions.
-    Which recordings are of the other robot is not known: all of these motions contradict.
+    difference of 0.014 in two motions is one of sessions: the larger group is kept, and none of two that are
+    as large; in a single motion `notes` say so.
     """
     every = [Stretches.of(one) for one in recordings]
-    by_motion = dict[str, list[_Measured]]()
-    for k, (one, own) in enumerate(zip(recordings, every, strict=True)):
-        if own is not None and own.scale is not None and abs(own.scale - 1.0) < _OTHERWISE:
-            by_motion.setdefault(one.motion, []).append((own.scale - 1.0, 0.0, k))
-    others = _others(by_motion, _SCALED)
-    of_session = len({recordings[k].motion for k in others}) >= _MOTIONS
-    left = [None if own is None or (of_session and k in others) else own.off for k, own in enumerate(every)]
-    out = list(recordings)
-    for k, off in others.items():
-        said = (
-            f"by ground truth it goes {1.0 + off:.3f} times as far, for the way of its wheels, as other "
-            "repetitions of its motion: its positions have another scale, or its robot other wheels"
-        )
-        one = out[k]
+    measured = {
+        k: (own.scale - 1.0, 0.0)
+        for k, own in enumerate(every)
+        if own is not None and own.scale is not None and abs(own.scale - 1.0) < _OTHERWISE
+    }
+    motions = _groups(recordings, measured, _SCALED)
+    choice = chosen(motions, _nearer_to(measured, []))
+    found = {recordings[k].motion for k in (*choice.kept, *choice.open)}
+    cause = _OF_ALL if any(map(_is_straight, _members(recordings, found))) else _of_turns(recordings, motions)
+    out, names = list(recordings), [one.name for one in recordings]
+    noted = {groups[0][0] for groups in choice.open.values()}
+    for k in sorted({*choice.kept, *choice.open}):
+        if len(found) < _MOTIONS and k in choice.open and k not in noted:
+            continue
+        said, one = _of_scale(k, measured, choice, names, cause), out[k]
         out[k] = (
             replace(one, contradictions=(*one.contradictions, said))
-            if of_session
+            if len(found) >= _MOTIONS
             else replace(one, notes=(*one.notes, f"{one.name}: {said}"))
         )
-    size = float(np.median(np.abs(list(others.values())))) if others else 0.0
-    if of_session and 2 * len(others) >= sum(
-        len(by_motion[m]) for m in {recordings[k].motion for k in others}
-    ):
-        for k in {k for other in others for _, _, k in by_motion[recordings[other].motion]} - set(others):
-            out[k] = replace(out[k], contradictions=(*out[k].contradictions, _AS_MANY.format(100.0 * size)))
-            left[k] = None
-    motions = _of_other_wheels(recordings, left)
-    return [
-        replace(one, contradictions=(*one.contradictions, motions[one.motion]))
-        if off is not None and one.motion in motions
-        else one
-        for one, off in zip(out, left, strict=True)
-    ]
-
-
-def _of_other_wheels(recordings: Sequence[Recording], offs: Sequence[Complexes | None]) -> dict[str, str]:
-    """What is wrong with motions, two at least, of which repetitions are by other wheels; else empty."""
-    by_motion = dict[str, list[tuple[str, Complexes]]]()
-    for one, off in zip(recordings, offs, strict=True):
-        if off is not None:
-            by_motion.setdefault(one.motion, []).append((one.name, off))
-    apart = {motion: _apart(drives) for motion, drives in by_motion.items() if len(drives) > 1}
-    far = [motion for motion, (by, _) in apart.items() if by > _WHEELS]
-    usual = float(np.median([by for by, _ in apart.values()])) if len(apart) >= _MANY else 0.0
-    if usual > _WHEELS_IN_MOST:
-        far = [motion for motion, (by, _) in apart.items() if by > _WHEELS_IN_MOST]
-    if len(far) < _MOTIONS:
-        return {}
-    return {
-        motion: f"its wheels go otherwise than in other repetitions of its motion ({names}: by {by:.3f}, rad "
-        "and share of the way), those of other motions as well: of two robots, or of wheels or zeros "
-        "that were changed between sessions; calibrate each for itself"
-        for motion, (by, names) in apart.items()
-        if motion in far
-    }
-
-
-def _apart(drives: Sequence[tuple[str, Complexes]]) -> tuple[float, str]:
-    """Largest difference of the wheels (4,) of two repetitions, root mean square, and their names."""
-    found = (0.0, "")
-    for (name, off), (other, its) in itertools.combinations(drives, 2):
-        size = np.abs(off - its)
-        by = float(np.sqrt(np.mean(size**2)))
-        if found[0] < by < _ROBOTS and np.count_nonzero(size > _DIFFERS) >= _MOST_WHEELS:
-            found = (by, f"{name}, {other}")
-    return found
-
-
-def _others(by_motion: Mapping[str, Sequence[_Measured]], least: float) -> dict[int, float]:
-    """Recordings apart from those of their motion that are kept, by index, with the difference."""
-    groups = [group for found in by_motion.values() if len(group := _groups(sorted(found), least)) > 1]
-    if not groups:
-        return {}
-    kept = max(
-        (0, -1),
-        key=lambda end: (
-            sum(len(group[end]) for group in groups),
-            -abs(typical([value for group in groups for value, _, _ in group[end]])),
-        ),
-    )
-    return {
-        k: value - typical([other for other, _, _ in group[kept]])
-        for group in groups
-        for part in group
-        if part is not group[kept]
-        for value, _, k in part
-    }
-
-
-def _groups(found: Sequence[_Measured], least: float) -> list[list[_Measured]]:
-    """Values in order, in groups between which there are gaps of `least` and of four standard errors."""
-    out = [[found[0]]]
-    for before, one in itertools.pairwise(found):
-        if one[0] - before[0] > max(least, STDS * float(np.hypot(before[1], one[1]))):
-            out.append([])
-        out[-1].append(one)
     return out
+
+
+def _of_scale(k: int, measured: _Measured, choice: Choice, names: Sequence[str], cause: str) -> str:
+    if k in choice.kept:
+        kept = choice.kept[k]
+        return _SCALE.format(1.0 + measured[k][0] - _middle(measured, kept), len(kept), cause)
+    groups = choice.open[k]
+    by = _SCALES.format(100.0 * _spread(measured, groups))
+    return f"{by}{cause}; {_NOT_KNOWN.format(against(groups, names))}"
+
+
+def _members(recordings: Sequence[Recording], motions: set[str]) -> list[Recording]:
+    return [one for one in recordings if one.motion in motions]
+
+
+def _is_straight(one: Recording) -> bool:
+    """Whether a recording turns by less than a tenth of a radian: a tracked point does not matter there."""
+    return bool(np.ptp(one.truth_pose[:, 2]) < _STRAIGHT_RAD)
+
+
+def _of_turns(recordings: Sequence[Recording], motions: Mapping[str, Groups]) -> str:
+    """The cause where only turns differ: said where straight motions are repeated, and agree."""
+    straight = [
+        k for groups in motions.values() for group in groups for k in group if _is_straight(recordings[k])
+    ]
+    return _OF_TURNS if len(straight) > 1 else f"{_OF_ALL}, or it tracks another point"
+
+
+def _groups(recordings: Sequence[Recording], measured: _Measured, least: float) -> dict[str, list[list[int]]]:
+    """Groups of each motion, between which there are gaps of `least` and of four standard errors."""
+    members = dict[str, list[int]]()
+    for k in measured:
+        members.setdefault(recordings[k].motion, []).append(k)
+
+    def differ(one: int, other: int) -> bool:
+        (a, a_std), (b, b_std) = measured[one], measured[other]
+        return abs(a - b) > max(least, STDS * float(np.hypot(a_std, b_std)))
+
+    return {motion: grouped(own, differ) for motion, own in members.items()}
+
+
+def _nearer_to(measured: _Measured, others: Sequence[float]) -> Callable[[Groups], Sequence[int] | None]:
+    """Chooses the group that is at most half as far from the typical value of other motions as any other."""
+
+    def choose(groups: Groups) -> Sequence[int] | None:
+        if len(others) < sum(map(len, groups)):
+            return None
+        off = {i: abs(_middle(measured, group) - typical(others)) for i, group in enumerate(groups)}
+        first, second = sorted(off, key=lambda i: off[i])[:2]
+        return groups[first] if off[first] < _NEARER * off[second] else None
+
+    return choose
+
+
+def _middle(measured: _Measured, group: Sequence[int]) -> float:
+    return typical([measured[k][0] for k in group])
+
+
+def _spread(measured: _Measured, groups: Groups) -> float:
+    values = [measured[k][0] for group in groups for k in group]
+    return max(values) - min(values)

@@ -13,6 +13,7 @@ from hil.datasets.cleaning import Log
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import read_plain, write_plain
 from hil.datasets.truth_sessions import with_other_sessions
+from hil.datasets.unlike_repetitions import with_unlike_repetitions
 from hil.datasets.wheel_log import build_recording
 from hil.datasets.wrong_signs import check_signs
 from tests.calibration.spoilt_sets import make_drives
@@ -117,12 +118,15 @@ def test_a_single_recording_in_another_scale_is_noted(healthy):
     assert [one.motion for one in found if one.notes] == ["line_y"]
 
 
-def test_recordings_of_two_robots_are_named(healthy):
+def test_repetitions_by_two_robots_contradict_and_neither_is_kept(healthy):
     """Of each motion one repetition is another robot's of this kind, with tolerances of its own."""
     other = make_set(hidden_robot(12), 12, (*MOTIONS, "arc", "curl"), 2)
-    found = with_other_sessions([*healthy[::2], *other[1::2]])
-    refused = {one.motion for one in found if "of two robots" in " ".join(one.contradictions)}
+    found = with_unlike_repetitions([*healthy[::2], *other[1::2]])
+    refused = {one.motion for one in found if "no single wheel" in " ".join(one.contradictions)}
     assert {"rotation_ccw", "rotation_cw"} <= refused
+    assert all(
+        "which is right is not known" in one.contradictions[0] for one in found if one.motion in refused
+    )
 
 
 def test_no_calibration_is_written_from_clipped_steering(healthy, tmp_path, capsys):
