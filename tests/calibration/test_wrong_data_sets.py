@@ -111,7 +111,7 @@ SHOWN = {name for name in ALL if not name.startswith("rotation")}
         (heading_times(1.1), "turns 1.10", ALL),
         (heading_times(1.04), "turns 1.04", ALL),
         (heading_times(0.95), "turns 0.95", ALL),
-        (heading_times(1.01), "", set()),
+        (heading_times(1.01), "turns 1.01", ALL),
     ],
     ids=[
         *("turned 0.02", "turned 0.05", "turned -0.2", "off centre", "FL late", "BR early", "1 s", "0.3 s"),
