@@ -30,7 +30,7 @@ FORCE_SHARE = 1.5
 _TURNS_SHARE, _CHANGING_TURNS_SHARE = 0.2, 0.4
 """Share of the rated speed below which nothing is compared; the same while the speed changes."""
 _BACKWARDS_SHARE = 0.02
-_STEADY_SHARE, _STEADY_NS = 0.02, 1_000_000_000
+_STEADY_SHARE, _LEAST_STEADY_SHARE, _STEADY_NS = 0.02, 0.002, 1_000_000_000
 SPEED, VOLTAGE, POWER = "the fan's speed", "the fan's duty and voltage", "the fan's power"
 
 
@@ -237,6 +237,16 @@ def _by_power(ratings: MotorRatings, now: Reading, power_rpm: float, unknown: Cr
     return CrossCheck(key, ratings.rated_rpm, "contradicted", "power", says, share, text)
 
 
+def steady_band_rpm(ratings: MotorRatings, speed_rpm: float) -> float:
+    """Largest change over a second, 1/min, of a speed at which the motor's power belongs to that speed.
+
+    A motor that is slowed down takes less current than the fan needs. Its current is the difference of two
+    voltages, and that grows with the square of the speed: so does the change that alters it by a given share.
+    """
+    share = (speed_rpm / ratings.rated_rpm) ** 2
+    return ratings.rated_rpm * min(max(_STEADY_SHARE * share, _LEAST_STEADY_SHARE), _STEADY_SHARE)
+
+
 class Steadiness:
     """Detector of a motor speed that has been the same for a second.
 
@@ -246,14 +256,13 @@ class Steadiness:
 
     def __init__(self, ratings: MotorRatings) -> None:
         self._ratings = ratings
-        self._band_rpm = _STEADY_SHARE * ratings.rated_rpm
         self._at_rpm, self._since_ns = math.nan, 0
 
     def follow(self, t_ns: int, now: Reading) -> bool:
         """Take a report; whether its speed, if known by duty and voltage, has been the same for a second."""
         volts_rpm = speed_by_voltage_rpm(self._ratings, now)
         speed_rpm = volts_rpm if math.isfinite(volts_rpm) else now.speed_rpm
-        if not abs(speed_rpm - self._at_rpm) <= self._band_rpm:
+        if not abs(speed_rpm - self._at_rpm) <= steady_band_rpm(self._ratings, speed_rpm):
             self._at_rpm, self._since_ns = speed_rpm, t_ns
         return t_ns - self._since_ns >= _STEADY_NS
 

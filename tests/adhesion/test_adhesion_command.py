@@ -462,7 +462,8 @@ def test_a_fan_that_is_taken_back_goes_to_its_set_point_of_before_not_to_a_place
 ):
     wrong, before = tmp_path / "wrong.toml", SetPoint("duty", 0.7)
     wrong.write_text(served.read_text().replace("[adhesion]\n", "[adhesion]\npole_pairs = 7\n"))
-    assert hil("adhesion", "on", "--bench", served, "--force", "20", "--tethered")[0] == 0
+    code, _, err = hil("adhesion", "on", "--bench", served, "--force", "20", "--tethered")
+    assert code == 0, err
     spec = daemon_spec(load_bench(str(served)))
     with client.connect(spec) as connection:
         on_ramp = client.ask(connection, client.set_request(before), spec)["sent"]

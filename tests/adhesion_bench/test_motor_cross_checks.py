@@ -17,7 +17,16 @@ from hil.fakes.motor_controllers.true_parameters import AdhesionTruthOptions
 from hil.fakes.thrust.vesc.chip import VescThrustTruthOptions, propellers
 from hil.loop.checks.adhesion_limits import FanForces
 from hil.robot.believed_force import CELLS, believe
-from hil.robot.motor_cross_checks import POWER, SPEED, VOLTAGE, Reading, cross_check, forces_n, impossible
+from hil.robot.motor_cross_checks import (
+    POWER,
+    SPEED,
+    VOLTAGE,
+    Reading,
+    Steadiness,
+    cross_check,
+    forces_n,
+    impossible,
+)
 
 CONFIG = VescConfig()
 RATINGS = CONFIG.ratings()
@@ -66,6 +75,22 @@ def test_a_right_fan_is_never_contradicted_not_while_it_speeds_up_either(pack_v,
         assert cross_check(RATINGS, reads(fan), steady=False).state == "confirmed"
     assert cross_check(RATINGS, reads(fan)).state == "confirmed"
     assert impossible(RATINGS, reads(fan)) is None
+
+
+@pytest.mark.parametrize("spin_down_s", [0.3, 0.6])
+@pytest.mark.parametrize("duty_per_s", [0.002, 0.005, 0.01, 0.02, 0.05, 0.1])
+def test_a_right_fan_that_is_lowered_slowly_is_not_contradicted_by_its_power(duty_per_s, spin_down_s):
+    fan = fan_at(45.0, spin_down_s=spin_down_s)
+    steadiness, highest = Steadiness(RATINGS), fan.duty
+    least = fan.duty_for(CONFIG.speed_for_rpm(10.0))
+    for k in range(1, 20_000):
+        duty = highest - duty_per_s * 0.02 * k
+        if duty < least:
+            break
+        fan.demand = Demand("duty", duty)
+        fan.advance(20_000_000 * k)
+        steady = steadiness.follow(20_000_000 * k, reads(fan))
+        assert cross_check(RATINGS, reads(fan), steady=steady).state == "confirmed"
 
 
 def test_a_rated_speed_of_another_fan_is_seen_by_the_power():
