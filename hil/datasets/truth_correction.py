@@ -12,7 +12,16 @@ import numpy as np
 from hil.core.geometry import Array
 from hil.datasets.changed_wheels import wheel_alone
 from hil.datasets.sampling import is_slow
-from hil.datasets.truth_deviations import SCALE_STD, STDS, beyond, beyond_alone, significant, typical, uneven
+from hil.datasets.truth_deviations import (
+    SCALE_STD,
+    STDS,
+    beyond,
+    beyond_alone,
+    near_centre,
+    significant,
+    typical,
+    uneven,
+)
 from hil.datasets.truth_fit import TruthFit, truth_fit
 from hil.datasets.truth_sessions import other_sessions
 from hil.datasets.wheel_log import Recording
@@ -64,14 +73,15 @@ def corrected(recordings: Sequence[Recording]) -> list[Recording]:
 
     Stamps are corrected from 0.03 s on (with slow ground truth a tenth of its period more), a fast clock from
     0.05 % (0.1 % in a single recording), a heading from 0.03 rad (where no single wheel explains it,
-    `wheel_alone`), a centre from 10 mm. A heading that is 0.04 rad from that of most other recordings or
-    0.015 rad from that of other repetitions, or a centre that is 20 mm from theirs, is of another body:
-    `contradictions` say so. A heading that is more than a radian off is not corrected, it contradicts; half a
-    turn is left to `wrong_signs`. What is no clock, heading or centre is not corrected either: poses spread
-    over 0.15 s, one wheel that is 0.03 s later than the others, axes of another scale or sheared by 0.8 %, a
-    heading that drifts by 0.4 mrad/s or turns by 0.5 % further than the path, a clock that runs unevenly by
-    0.04 s. Each has to be four times its standard error, the last one twice in most recordings. A single
-    recording contradicts from 1.2 % (axes), 1 mrad/s, or 4 % (scale of all positions) on.
+    `wheel_alone`), a centre from 10 mm (from 6 mm on `notes` say what it may be). A heading that is 0.04 rad
+    from that of most other recordings or 0.015 rad from that of other repetitions, or a centre that is 20 mm
+    from theirs, is of another body: `contradictions` say so. A heading that is more than a radian off is not
+    corrected, it contradicts; half a turn is left to `wrong_signs`. What is no clock, heading or centre is
+    not corrected either: poses spread over 0.15 s, one wheel that is 0.03 s later than the others, axes of
+    another scale or sheared by 0.8 %, a heading that drifts by 0.4 mrad/s or turns by 0.5 % further than the
+    path, a clock that runs unevenly by 0.04 s. Each has to be four times its standard error, the last one
+    twice in most recordings. A single recording contradicts from 1.2 % (axes), 1 mrad/s, or 4 % (scale of all
+    positions) on.
     """
     fits = [None if one.contradictions else truth_fit(one) for one in recordings]
     found = _common(recordings, fits)
@@ -111,7 +121,7 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
     heading_rad = heading.real if abs(heading) >= _HEADING_RAD else 0.0
     if heading_rad and wheel_alone(recordings, recordings[0].nominal.geometry) is not None:
         heading_rad = 0.0
-    centre_m = centre_m if abs(centre_m) >= _CENTRE_M else 0j
+    turns_about_m, centre_m = centre_m, centre_m if abs(centre_m) >= _CENTRE_M else 0j
     delays_s = [
         fit.late_s
         for fit, is_late, own in zip(fits, late, fasts, strict=True)
@@ -133,6 +143,7 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
     if far:
         heading_rad, centre_m = 0.0, 0j
     notes += _of_body(heading_rad, by_ways, complex(centre_m * np.exp(1j * heading_rad)), by_turns)
+    notes += () if centre_m else near_centre(turns_about_m, by_turns)
     notes += _of_scale([(scale - 1.0, std) for scale, std in scales])
     return _Found(
         late, fasts, typical_scale, typical_rad, heading_rad, centre_m, notes, contradiction, others

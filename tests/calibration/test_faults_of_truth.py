@@ -199,3 +199,16 @@ def test_a_truth_without_noise_is_not_called_filled_in(data):
     one = data[0]
     still = interpolate(one.truth_t_s, one.t_s, np.round(one.wheel_angle_rad[:, :3], 3))
     assert with_smooth_rows([replace(one, truth_pose=still)])[0].contradictions == ()
+
+
+@pytest.mark.parametrize(("ahead_m", "said"), [(0.0, False), (8e-3, True)])
+def test_a_body_some_millimetres_off_centre_may_be_the_wheels(data, ahead_m, said):
+    """Radii and zeros do the same, and no motion tells them apart."""
+
+    def off(t_s, pose):
+        return pose + ahead_m * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2]), 0.0 * t_s])
+
+    found = corrected([spoilt(one, off) for one in data if one.motion.startswith("rotation")])
+    notes = {note for one in found for note in one.notes}
+    assert len(notes) == said
+    assert all("cannot tell" in note for note in notes)
