@@ -12,7 +12,13 @@ from hil.bench.cross_checks.gravity import gravity_checks
 from hil.bench.cross_checks.parameters import RESTING, at_rest
 from hil.bench.cross_checks.rest_watch import RestWatch, samples_of
 from hil.bench.doctor.inertial_offsets import InertialWatch
-from hil.bench.drive_start import blind_to_the_drive, emulated_hold, forces_apart, must_begin_where_it_stands
+from hil.bench.drive_start import (
+    StartWatch,
+    blind_to_the_drive,
+    emulated_hold,
+    forces_apart,
+    must_begin_where_it_stands,
+)
 from hil.bench.hold.held_devices import HeldDevices
 from hil.bench.injection import Injection
 from hil.bench.loop_settings import real_time
@@ -328,7 +334,7 @@ class Bench(HeldDevices):
             if filtered:
                 self._inertial.must_be_usable()
                 self.parameters.must_agree()
-            until = self._until_tilted(until, filtered=filtered)
+            until = self._until_tilted(self._until_placed(until, start.state), filtered=filtered)
         self._warn(emulated_hold(self.config))
         warm_up(pipeline, start.state)
         with ExitStack() as stack:
@@ -365,6 +371,18 @@ class Bench(HeldDevices):
             self.lost.append(str(error))
             said = str(error).removeprefix(f"{error.device}: ")
             self.seen.add(Event(self.clock.now_ns(), "error", error.device, said))
+
+    def _until_placed(self, until: Until, stands: RobotState) -> Until:
+        """Wrap `until` so that motion capture is compared with the start pose in the first cycles."""
+        if not self.has("mocap") or self._capture_is_blind:
+            return until
+        watch = StartWatch(stands.pose_body_in_wall)
+
+        def watched(record: CycleRecord) -> bool:
+            self._warn(watch.found(record), "mocap")
+            return until(record)
+
+        return watched
 
     def _until_tilted(self, until: Until, *, filtered: bool) -> Until:
         """Wrap `until` so that gravity is compared with the bench file once more in the first cycles."""

@@ -2,16 +2,21 @@
 
 import math
 
+import numpy as np
+
 from hil.bench.loop_settings import pretended_holders
 from hil.config.bench import BenchConfig
 from hil.core.errors import TrajectoryError
 from hil.core.geometry import Array, wrap
 from hil.core.registry import kinds
+from hil.core.signals import CycleRecord
 from hil.robot.trajectories import Trajectory
 
 _NEAR_M, _NEAR_RAD = 0.02, math.radians(5.0)
 """Tolerated start error of a robot placed by hand. The laws correct it with up to 5 m/s per metre, that is
 with 0.1 m/s, below the largest commanded wheel speed (`control.wheel_speed_m_s`, 0.122 m/s)."""
+_FEW = 3
+"""Samples of motion capture that are compared: a robot that begins to move has gone a millimetre by then."""
 _REMEDY = (
     "begin where it stands: in Python with start = hil.procedure.tracking_errors.enable_hold(bench) and "
     "line(start, ...), or put the robot there; where no motion capture sees it, say where it stands "
@@ -43,6 +48,37 @@ def must_begin_where_it_stands(trajectory: Trajectory, stands: Array) -> None:
         limit=_NEAR_RAD if near else _NEAR_M,
         remedy=_REMEDY,
     )
+
+
+class StartWatch:
+    """Compares the pose at which a drive is said to begin with motion capture, in its first cycles.
+
+    Args:
+        said: (3,) pose in the wall frame.
+    """
+
+    def __init__(self, said: Array) -> None:
+        self._said = said
+        self._seen: list[Array] = []
+
+    def found(self, record: CycleRecord) -> str:
+        """Warning, once, if motion capture sees the robot elsewhere; else empty."""
+        if len(self._seen) >= _FEW:
+            return ""
+        self._seen += [one.pose for one in record.measurements.mocap if one.valid]
+        if len(self._seen) < _FEW:
+            return ""
+        seen = np.median(self._seen, axis=0)
+        far_m = math.hypot(*(seen[:2] - self._said[:2]))
+        turned_rad = abs(wrap(float(seen[2] - self._said[2])))
+        if far_m <= _NEAR_M and turned_rad <= _NEAR_RAD:
+            return ""
+        return (
+            f"motion capture sees the robot at {_pose_text(seen)}, {1e3 * far_m:.0f} mm and "
+            f"{math.degrees(turned_rad):.1f} deg from its start pose, {_pose_text(self._said)}: either the "
+            "start pose is wrong, or its world has moved; look at environment.start_pose (--start), at its "
+            "origin and at mocap.body"
+        )
 
 
 def blind_to_the_drive(config: BenchConfig) -> str:

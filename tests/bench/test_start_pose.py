@@ -1,5 +1,6 @@
 """A real robot that no motion capture sees has to be given where it stands."""
 
+import contextlib
 import math
 import sys
 
@@ -10,7 +11,7 @@ from click.testing import CliRunner
 import hil
 from hil.cli import main, start_question
 from hil.config.loading import load_bench
-from hil.core.errors import ConfigError, UsageError
+from hil.core.errors import ConfigError, SafetyStop, UsageError
 from hil.robot.trajectories import line
 
 REAL = 'schema = 1\nname = "blind"\n[servos]\nport = "/dev/no-such-port"\n[imu]\nbackend = "emulated"\n'
@@ -124,3 +125,16 @@ def test_degrees_in_place_of_radians_are_refused_before_anything_opens(words, tm
 )
 def test_on_a_wall_a_heading_is_within_a_limit_and_on_the_floor_it_is_any(profile, heading_rad):
     assert load_bench(profile, overrides={"environment.start_pose": (0.0, 0.0, heading_rad)})
+
+
+@pytest.mark.parametrize("offset_m", [0.05, -0.1, 0.0])
+@pytest.mark.parametrize("feedback", ["odometry", "ekf"])
+def test_motion_capture_that_sees_the_robot_elsewhere_than_was_said_is_reported(offset_m, feedback):
+    faults = (f"mocap:wrong@0,offset_m={offset_m}",) if offset_m else ()
+    settings = {"loop.rate_hz": 50.0, "emulation.mocap.position_noise_m": 0.0006}
+    bench = hil.open_bench("emulated", seed=3, faults=faults, overrides=settings)
+    with bench, contextlib.suppress(SafetyStop):
+        bench.drive(line((0, 0, 0), (0.04, 0, 0)), start_pose=np.zeros(3), feedback=feedback, hold_s=0.1)
+    said = [text for text in bench.warnings if "start_pose" in text]
+    assert len(said) == bool(offset_m)
+    assert not said or f"{abs(1e3 * offset_m):.0f} mm" in said[0]
