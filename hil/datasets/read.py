@@ -25,6 +25,7 @@ from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.truth_at_rest import with_truth_at_rest
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_files import TruthFile
+from hil.datasets.truth_in_turns import with_truth_in_turns
 from hil.datasets.truth_of_wheels import with_odometry_in_truth
 from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
@@ -164,7 +165,7 @@ def read_recordings(
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(without_near_copies(named_apart(without_copies(out))), robot.geometry, coupling)
-    out = with_truth_at_rest(with_smooth_rows(out))
+    out = with_truth_in_turns(with_truth_at_rest(with_smooth_rows(out)))
     out = with_angle_faults(with_late_parts(with_misplaced_columns(out, robot)))
     out = corrected(with_unlike_repetitions(out))
     out = with_truth_scales(with_truth_seams(out))

@@ -26,7 +26,7 @@ _FLOOR = np.array([5e-6, 5e-6, 2e-5])
 _COMMON, _COMMON_STD = np.array([1e-4, 1e-4, 7e-5]), np.array([1e-4, 1e-4, 2e-4])
 _ALONE, _ALONE_STDS, _ONLY = np.array([2.5e-4, 2.5e-4, 3e-4]), 5.0, 2.0
 _MOTION = np.array([5e-3, 5e-3, 0.03])
-_EITHER = (
+FRAME_OR_SLIDE = (
     "either the frame of the capture system moves (a tripod that sinks, a camera that turns), or the robot "
     "slides; recordings cannot tell these apart. Fasten the cameras, or hold the robot"
 )
@@ -55,12 +55,12 @@ def with_truth_at_rest(recordings: Sequence[Recording]) -> list[Recording]:
     every = [rest for own in found for rest in own]
     common = np.array([_common(every, k) for k in range(3)])
     if common.any():
-        said = f"{_in_words(common, every)} (all {len(every)} rests of the set): {_EITHER}"
+        said = f"{_in_words(common, every)} (all {len(every)} rests of the set): {FRAME_OR_SLIDE}"
         return [replace(one, contradictions=(*one.contradictions, said)) for one in recordings]
     out = []
     for one, own in zip(recordings, found, strict=True):
         alone = _alone(own)
-        said = f"{_in_words(alone, own)} ({_count(own)}): {_EITHER}"
+        said = f"{_in_words(alone, own)} ({_count(own)}): {FRAME_OR_SLIDE}"
         out.append(replace(one, contradictions=(*one.contradictions, said)) if alone.any() else one)
     return out
 

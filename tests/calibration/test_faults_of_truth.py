@@ -15,6 +15,7 @@ from hil.datasets.sampling import interpolate
 from hil.datasets.smooth_rows import with_smooth_rows
 from hil.datasets.truth_at_rest import with_truth_at_rest
 from hil.datasets.truth_correction import corrected
+from hil.datasets.truth_in_turns import with_truth_in_turns
 from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
 
@@ -212,3 +213,27 @@ def test_a_body_some_millimetres_off_centre_may_be_the_wheels(data, ahead_m, sai
     notes = {note for one in found for note in one.notes}
     assert len(notes) == said
     assert all("cannot tell" in note for note in notes)
+
+
+def without_rests(one):
+    """A recording that begins and ends in motion."""
+    moves = np.flatnonzero(np.abs(np.diff(one.wheel_angle_rad, axis=0)).max(axis=1) > 0.003)
+    begin_s, end_s = one.t_s[moves[0]] + 0.3, one.t_s[moves[-1]] - 0.3
+    wheels, truth = ((t >= begin_s) & (t <= end_s) for t in (one.t_s, one.truth_t_s))
+    return replace(
+        one,
+        t_s=one.t_s[wheels],
+        wheel_angle_rad=one.wheel_angle_rad[wheels],
+        steering_rad=one.steering_rad[wheels],
+        truth_t_s=one.truth_t_s[truth],
+        truth_pose=one.truth_pose[truth],
+    )
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.3])
+@pytest.mark.parametrize("speed", [(0.0, 0.0, 0.0), (5e-4, 0.0, 0.0), (0.0, -1.0e-3, 0.0)])
+def test_without_rests_a_frame_that_drifts_shows_in_turns(data, speed, late_s):
+    cut = [without_rests(one) for one in data]
+    some = [replace(spoilt(one, drifting(*speed)), truth_t_s=one.truth_t_s + late_s) for one in cut]
+    found = named(with_truth_in_turns(with_truth_at_rest(some)), "none rests")
+    assert found == ([one.name for one in data] if any(speed) else [])

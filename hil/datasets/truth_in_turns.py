@@ -1,0 +1,69 @@
+"""Finds a frame of the ground truth that drifts in a set whose recordings never rest.
+
+On a path on which the body turns, a drift of the frame turns against the body, and nothing that the wheels do
+turns so. A slide down a wall does: the two cannot be told apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.core.geometry import Array
+from hil.datasets.truth_at_rest import FRAME_OR_SLIDE, rests
+from hil.datasets.truth_deviations import significant
+from hil.datasets.wheel_displacements import Drive, by_truth, by_wheels, rolling
+from hil.datasets.wheel_log import Recording
+
+_TURNED_RAD, _FEWEST, _ROUNDS, _USUAL = 5.0, 16, 6, 1.5
+_SPEED_M_S, _STD_M_S, _SERIAL, _NOTHING_M = 3e-4, 3e-4, 3.0, 1e-9
+"""Speed that is named, largest standard error, and by how much slip, which lasts, increases the latter."""
+
+
+def with_truth_in_turns(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings; `contradictions` name a drift from 0.3 mm/s on, where no recording rests."""
+    known = [one for one in recordings if not one.contradictions]
+    if not known or any(rests(one) for one in known):
+        return list(recordings)
+    measured = [own for one in known if (own := drift_m_s(one)) is not None]
+    common = significant(measured, _SPEED_M_S, _STD_M_S)
+    if not common:
+        return list(recordings)
+    said = (
+        f"its ground truth drifts by {1e3 * abs(common):.2f} mm/s beside the wheels while the body turns "
+        f"({len(measured)} recordings, of which none rests): {FRAME_OR_SLIDE}"
+    )
+    return [replace(one, contradictions=(*one.contradictions, said)) for one in recordings]
+
+
+def drift_m_s(one: Recording) -> tuple[complex, float] | None:
+    """Speed x + iy of the frame, m/s, and its standard error; None where the body hardly turns.
+
+    Ways of the middle of the wheels over half a second are fitted by what the wheels say, scaled and turned,
+    and by a steady speed of the frame. Stretches in which the robot slips count less (Huber's weights).
+    """
+    if not one.has_truth or one.of_twist:
+        return None
+    drive = Drive(one.t_s, one.wheel_angle_rad, one.steering_rad, one.truth_t_s, one.truth_pose)
+    edges_s, wheels = drive.edges_s(), one.nominal.geometry
+    if len(edges_s) <= _FEWEST:
+        return None
+    rolled = by_wheels(drive, edges_s, wheels)
+    moved = by_truth(one.truth_t_s, drive.pose, edges_s, wheels)
+    mask = rolling(rolled, moved, drive.known(edges_s), wheels)
+    heading = np.interp(edges_s, one.truth_t_s, one.truth_pose[:, 2])
+    theta = 0.5 * (heading[1:] + heading[:-1])[mask]
+    if np.count_nonzero(mask) < _FEWEST or np.ptp(theta) < _TURNED_RAD:
+        return None
+    way, wanted = rolled[mask].mean(axis=1), moved[mask].mean(axis=1)
+    rows = np.column_stack([way, np.exp(-1j * theta) * np.diff(edges_s)[mask], np.ones_like(way)])
+    left, weight = wanted - way, np.ones(len(way))
+    for _ in range(_ROUNDS):
+        by = weight[:, None]
+        x: Array = np.linalg.lstsq(rows * by, wanted * weight, rcond=None)[0]
+        left = wanted - rows @ x
+        usual = max(float(np.median(np.abs(left))), _NOTHING_M)
+        weight = np.sqrt(np.minimum(1.0, _USUAL * usual / np.maximum(np.abs(left), _NOTHING_M)))
+    information = np.linalg.inv(np.conj(rows * by).T @ (rows * by) + 1e-12 * np.eye(3)).real
+    spread = float(np.mean(np.abs(left * weight) ** 2))
+    return complex(x[1]), _SERIAL * float(np.sqrt(spread * information[1, 1]))
