@@ -15,8 +15,8 @@ from hil.config.bench import BenchConfig
 from hil.config.can_motor import DaemonMotorConfig
 from hil.core.clock import MonotonicClock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, UsageError
+from hil.core.signals import AdhesionSample, worst
 from hil.core.signals import Status as SampleStatus
-from hil.core.signals import worst
 from hil.fan_daemon import client
 from hil.fan_daemon.client import Status, of_whom
 from hil.fan_daemon.fan_control import RELEASE, SetPoint
@@ -137,29 +137,63 @@ def switch_on(
             fan.set_force_n(wanted_n)
         else:
             fan.set_duty(duty)
-        judge = FanStartCheck(config, table)
-        near_ns, said_ns, newest = None, 0, None
-        end_ns = clock.now_ns() + nanoseconds(wait_s)
-        while (now_ns := clock.now_ns()) < end_ns:
-            for sample in fan.read():
-                newest = sample
-                if wrong := judge.contradiction(sample):
-                    _take_back(config, before, known)
-                    raise contradicted(wrong)
-            if newest is not None:
-                is_n = table.force_at_n(newest.speed_rpm)
-                off = is_n / wanted_n - 1.0 if duty is None else newest.duty / duty - 1.0
-                near_ns = (near_ns or now_ns) if abs(off) <= _NEAR else None
-                if near_ns is not None and now_ns - near_ns >= _STEADY_NS:
-                    if wrong := judge.by_cells(is_n, clock):
-                        _take_back(config, before, known)
-                        raise contradicted(wrong)
-                    return is_n
-                if now_ns - said_ns > _SAY_NS:
-                    said_ns = now_ns
-                    say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
-            clock.sleep_until_ns(now_ns + STEP_NS)
-        raise _not_reached(newest, f"{wanted_n:g} N" if duty is None else f"duty {duty:g}", wait_s)
+
+        def off(sample: AdhesionSample) -> float:
+            if duty is None:
+                return float(table.force_at_n(sample.speed_rpm) / wanted_n - 1.0)
+            return sample.duty / duty - 1.0
+
+        judge, wanted = FanStartCheck(config, table), f"{wanted_n:g} N" if duty is None else f"duty {duty:g}"
+        is_n, wrong = _reach(fan, judge, off, clock, wait_s, wanted, say)
+    if wrong:  # the fan is closed: none of its own requests can come after this one
+        _take_back(config, before, known)
+        raise contradicted(wrong)
+    return is_n
+
+
+def _reach(
+    fan: Any,
+    judge: FanStartCheck,
+    off: Callable[[AdhesionSample], float],
+    clock: MonotonicClock,
+    wait_s: float,
+    wanted: str,
+    say: Say,
+) -> tuple[float, str]:
+    """Wait until a fan is steady at its set-point.
+
+    Args:
+        fan: the open fan.
+        judge: check of its reports.
+        off: relative deviation of a report from the set-point.
+        clock: the host's clock.
+        wait_s: time limit, s.
+        wanted: the set-point in words.
+        say: function that receives a line of progress each second.
+
+    Returns:
+        Force by the speed, N, and the contradiction between the measurements, empty for none.
+
+    Raises:
+        DeviceError: the set-point is not reached in time.
+    """
+    near_ns, said_ns, newest = None, 0, None
+    end_ns = clock.now_ns() + nanoseconds(wait_s)
+    while (now_ns := clock.now_ns()) < end_ns:
+        for sample in fan.read():
+            newest = sample
+            if wrong := judge.contradiction(sample):
+                return judge.force_n(sample), wrong
+        if newest is not None:
+            is_n = judge.force_n(newest)
+            near_ns = (near_ns or now_ns) if abs(off(newest)) <= _NEAR else None
+            if near_ns is not None and now_ns - near_ns >= _STEADY_NS:
+                return is_n, judge.by_cells(is_n, clock)
+            if now_ns - said_ns > _SAY_NS:
+                said_ns = now_ns
+                say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
+        clock.sleep_until_ns(now_ns + STEP_NS)
+    raise _not_reached(newest, wanted, wait_s)
 
 
 def _take_back(config: BenchConfig, before: Any, known: bool) -> None:

@@ -12,6 +12,7 @@ from hil.config.bench import BenchConfig
 from hil.config.load_cells import LoadCellsConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
+from hil.core.signals import AdhesionSample
 from hil.loop.checks.adhesion_limits import FanForces
 from hil.robot.believed_force import apart
 
@@ -31,11 +32,15 @@ class FanStartCheck:
         self._config, self._table = config, table
         self._fan, self._doubts = FanForces(table.ratings()), 0
 
-    def contradiction(self, sample: Any) -> str:
+    def contradiction(self, sample: AdhesionSample) -> str:
         """What contradicts the reports for a while; empty for nothing."""
         self._fan.take(sample)
         self._doubts = self._doubts + 1 if self._fan.contradiction else 0
         return self._fan.contradiction if self._doubts >= _DOUBTS else ""
+
+    def force_n(self, sample: AdhesionSample) -> float:
+        """Force by the reported speed, N."""
+        return self._table.force_at_n(sample.speed_rpm)
 
     def by_cells(self, is_n: float, clock: MonotonicClock) -> str:
         """What the load cells say against a force; empty where they agree, or there are none."""
