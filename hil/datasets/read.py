@@ -14,6 +14,7 @@ from hil.datasets.azimuth_coupling import Coupling, decoupled
 from hil.datasets.changed_wheels import with_changed_wheels
 from hil.datasets.drive_coverage import covered
 from hil.datasets.duplicates import without_copies
+from hil.datasets.integrated_angles import with_integrated_angles
 from hil.datasets.late_parts import with_late_parts
 from hil.datasets.mapped_recordings import PUBLIC, read_mapped
 from hil.datasets.misplaced_columns import with_misplaced_columns
@@ -165,7 +166,8 @@ def read_recordings(
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
         out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = decoupled(without_near_copies(named_apart(without_copies(out))), robot.geometry, coupling)
-    out = with_truth_in_turns(with_truth_at_rest(with_smooth_rows(out)))
+    out = with_smooth_rows(with_integrated_angles(out))
+    out = with_truth_in_turns(with_truth_at_rest(out))
     out = with_angle_faults(with_late_parts(with_misplaced_columns(out, robot)))
     out = corrected(with_unlike_repetitions(out))
     out = with_truth_scales(with_truth_seams(out))
