@@ -41,6 +41,8 @@ class EnvironmentConfig(Strict):
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("tilt_rad", (instead(0.0), instead(1.0), instead(math.pi)), ("imu", "tracker")),
+        Parameter("surface"),
+        Parameter("friction"),
     )
 
     surface: str = Field("melamine", min_length=1)

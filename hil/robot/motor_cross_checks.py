@@ -234,6 +234,8 @@ def _by_power(ratings: MotorRatings, now: Reading, power_rpm: float, unknown: Cr
         f"at {now.speed_rpm:.0f} 1/min its power is {now.input_a * now.input_v:.0f} W, which belongs to "
         f"{power_rpm:.0f} 1/min: {key} or {ratings.table}.rated_input_a, rated_input_v is wrong"
     )
+    if ratings.pole_pairs and math.isfinite(ratings.rpm_per_v):  # the speed agrees with duty and voltage
+        text += f", or {ratings.table}.pole_pairs and {ratings.table}.rpm_per_v both, by one factor"
     return CrossCheck(key, ratings.rated_rpm, "contradicted", "power", says, share, text)
 
 

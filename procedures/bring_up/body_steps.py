@@ -73,7 +73,17 @@ def camera_checks(config: BenchConfig, ways: Ways) -> Iterator[CrossCheck]:
             ("tracker.scale", scale, _RADIUS),
         ):
             yield CrossCheck(key, value, "confirmed", _BY, value, off, within=SAME, given=(given,))
-    yield from _places(config, _share(wheels[2, 2], seen[2, 2]), math.inf)
+    turn = _share(wheels[2, 2], seen[2, 2])
+    if abs(turn) > WRONG and abs(off) <= SAME:
+        text = (
+            f"the wheels see {1.0 + turn:.2f} of the body's turn, and steps like the camera's: look at "
+            f"{' and '.join(_PLACES)}, or at {_RADIUS} and tracker.scale, both by one factor"
+        )
+        for key in (*_PLACES, _RADIUS, "tracker.scale"):
+            table, _, name = key.partition(".")
+            value = getattr(getattr(config, table), name)
+            yield CrossCheck(key, value, "contradicted", _BY, math.nan, turn, text)
+    yield from _places(config, turn, math.inf)
 
 
 def _wheels(config: BenchConfig, wheels: Array, true: Array, steered_off: Array) -> Iterator[CrossCheck]:

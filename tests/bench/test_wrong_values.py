@@ -348,6 +348,35 @@ def test_horns_as_delivered_are_neither_confirmed_nor_contradicted(seed):
     assert ("which show" in row.by) == (abs(row.difference) > row.within)
 
 
+@pytest.mark.parametrize("cells", [True, False])
+def test_a_power_that_does_not_belong_to_the_speed_points_to_its_ratings(cells):
+    without = {} if cells else {"load_cells": None}
+    rows, _ = examined({**wrong("adhesion.rated_input_a", 60.0, 30.0), **without})
+    contradicted = {key for key, row in rows.items() if row.state == "contradicted"}
+    assert {"adhesion.rated_input_a", "adhesion.rated_input_v"} <= contradicted
+    assert ("adhesion.rated_rpm" in contradicted) is not cells
+    assert rows["adhesion.rated_input_a"].says == pytest.approx(30.0, rel=0.15)
+
+
+def test_poles_and_volts_that_are_wrong_by_one_factor_are_both_named():
+    rows, failed = examined(
+        {
+            "adhesion.pole_pairs": 4,
+            "adhesion.rpm_per_v": 1312.5,
+            "emulation.adhesion.pole_pairs": 3,
+            "emulation.adhesion.rpm_per_v": 1750.0,
+            "load_cells": None,
+        }
+    )
+    assert rows["adhesion.pole_pairs"].state == rows["adhesion.rpm_per_v"].state == "contradicted"
+    assert any("adhesion.pole_pairs and adhesion.rpm_per_v both" in one.found for one in failed)
+
+
+def test_what_the_robot_stands_on_is_taken_for_granted():
+    rows, _ = examined({"environment.friction": 0.6})
+    assert rows["environment.surface"].state == rows["environment.friction"].state == "unconfirmed"
+
+
 @pytest.mark.parametrize("off_rad", [0.05, -0.05])
 def test_zeros_that_are_all_off_alike_are_seen(off_rad):
     rows, _ = examined({"alignment.steer_zero_rad": [off_rad] * 4})

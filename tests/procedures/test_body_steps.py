@@ -105,6 +105,14 @@ def test_wheels_and_a_camera_without_motion_capture_rest_on_each_other():
     assert found["tracker.scale"].given == ("robot.wheel_radius_m",)
 
 
+def test_radius_and_camera_that_are_wrong_by_one_factor_show_in_the_turn():
+    seen = ways()
+    found = camera_checks(
+        CONFIG, {"odometry": 1.3 * seen["odometry"], "tracker": seen["tracker"] * np.array([1.3, 1.3, 1.0])}
+    )
+    assert contradicted(found) >= {"robot.wheel_radius_m", "tracker.scale", "robot.wheel_x_m"}
+
+
 def test_a_short_watch_does_not_accuse_a_clock(tmp_path):
     """In two seconds the drift is not known to 90 ppm."""
     done = run("bring_up", tmp_path / "run", {"watch_s": 2.0}, seed=4, overrides={"loop.rate_hz": 50.0})

@@ -40,13 +40,39 @@ def force_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
     middle = Reading(*(_middle([float(getattr(s, name)) for s in usable]) for name in Reading._fields))
     steady = max(speeds) - min(speeds) < _STEADY_SHARE * fan.rated_rpm
     own = cross_check(fan.ratings(), middle, steady=steady)
-    yield own
+    yield from (
+        _by_power(config, fan, seen, middle, own)
+        if own.state == "contradicted" and own.by == "power"
+        else (own,)
+    )
     if own.state == "confirmed" and (rpm_per_v := getattr(fan, "rpm_per_v", None)) is not None:
         yield CrossCheck(
             "adhesion.rpm_per_v", rpm_per_v, "confirmed", own.by, rpm_per_v, own.difference, within=own.within
         )
     if own.state != "contradicted" and steady and not config.force_sensor_elsewhere():
         yield from _by_cells(config, fan, seen, middle.speed_rpm)
+
+
+def _by_power(
+    config: BenchConfig, fan: AdhesionConfig, seen: Mapping[str, Sequence[Any]], now: Reading, own: CrossCheck
+) -> Iterator[CrossCheck]:
+    """Contradictions of all keys that a power which does not belong to the speed may mean.
+
+    Load cells that agree with the speed leave the ratings of the power.
+    """
+    ratio = (1.0 + own.difference) ** -3.0  # of the power to that of the speed
+    rows = {
+        "adhesion.rated_input_a": fan.rated_input_a * ratio,
+        "adhesion.rated_input_v": fan.rated_input_v * ratio,
+    }
+    cells = list(_by_cells(config, fan, seen, now.speed_rpm)) if not config.force_sensor_elsewhere() else []
+    if not any(check.state == "confirmed" for check in cells):
+        rows[own.key] = own.says
+        for key in ("adhesion.pole_pairs", "adhesion.rpm_per_v") if "both" in own.text else ():
+            rows[key] = math.nan
+    for key, says in rows.items():
+        value = getattr(fan, key.partition(".")[2])
+        yield own._replace(key=key, value=value, says=says)
 
 
 def _by_cells(
