@@ -189,6 +189,7 @@ def _judged(moves: "_Moves | None") -> dict[str, Support]:
             if one.change.cause not in out or one.gain > out[one.change.cause].gain:
                 out[one.change.cause] = one
 
+    out["turned"] = moves.turned()
     judge(_exchanges() if len(moves.lacking(_LACKS_ORDER)) > 1 else ())
     wheels = moves.lacking(_LACKS)
     judge(change for late in range(-_MOST, _MOST + 1, _STEPS[0]) for change in _delays(wheels, late))
@@ -286,7 +287,16 @@ class _Moves:
             columns = zip(change.phi, change.delta, change.phi_late, change.delta_late, strict=True)
             new = [self._of(k, *own) for k, own in enumerate(columns) if k in altered]
             by = np.column_stack(new) - self._rolled[:, altered]
-        lack = self._lack[:, altered]
+        return self._support(change, by, altered)
+
+    def turned(self) -> Support:
+        """The same of ground truth whose body has another heading, which is corrected or named elsewhere."""
+        angle = np.angle(np.sum(np.conj(self._moved[self._known]) * self._rolled[self._known]))
+        return self._support(Change(""), self._moved * (1.0 - np.exp(1j * angle)), _IN_ORDER)
+
+    def _support(self, change: Change, by: Complexes, altered: Sequence[int]) -> Support:
+        """How changes `by` (k, a) of the moves of wheels `altered` (a) agree with what these lack."""
+        lack = self._lack[:, list(altered)]
         least = _OTHER_DRIVE if change.only_drives else _OTHER
         counts = (np.abs(by) > least * self._typical_m) & self._known[:, None]
         along, size = _products(by[counts], lack[counts])

@@ -31,8 +31,9 @@ _SMOOTHER = (
     "fewer poses; take poses as measured"
 )
 _UNEVENLY = (
-    "the clock of its ground truth runs unevenly, by about {:.2f} s in a recording (neither a delay nor a "
-    "stretch); stamp both logs by one clock"
+    "its ground truth and its wheels part in time by about {:.2f} s, otherwise in each part of a recording "
+    "(neither a delay nor a stretch): a clock that runs unevenly, rows that were lost or held, and wheel "
+    "angles whose error depends on the speed look alike; compare the stamps of both logs"
 )
 _LATE = (
     "its columns of the {} wheel (phi, delta) come {:.2f} s or more {} than those of the other wheels: stamp "
@@ -184,7 +185,10 @@ def _transient_alone(fit: TruthFit) -> str:
         clear = _clear(found.size, found.std, _SMOOTHED_S2, _SMOOTHED_STD_S2)
         return _SMOOTHER.format(np.sqrt(found.size)) if clear else ""
     if likely == UNEVEN and _clear(found.size, found.std, _UNEVEN_S, _UNEVEN_S):
-        return f"the clock of its ground truth runs unevenly, by {found.size:.2f} s; cut it at the step"
+        return (
+            f"its ground truth and its wheels part in time by {found.size:.2f} s in its course: a clock that "
+            "runs unevenly, or rows that were lost; cut it at the step"
+        )
     if (
         likely in WHEELS
         and len(alike) < len(WHEELS)

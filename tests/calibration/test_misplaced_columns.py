@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
 from hil.datasets.cleaning import Log
 from hil.datasets.misplaced_columns import with_misplaced_columns
@@ -116,3 +117,19 @@ def test_no_calibration_is_written_from_misplaced_columns(healthy, tmp_path, cap
     assert main(["calibrate", str(tmp_path), "--no-validation", "--out", str(tmp_path / "c.toml")]) == 2
     assert "curl_1: its column" in capsys.readouterr().err
     assert not (tmp_path / "c.toml").exists()
+
+
+def test_a_body_of_another_heading_is_no_heading_that_comes_late(healthy):
+    """On circles both look nearly alike: it is left to what names headings."""
+    bias_rad = (0.1, -0.2, 0.3, 0.05, 0.25, -0.3)
+    turned = [
+        replace(one, truth_pose=one.truth_pose + np.array([0.0, 0.0, by_rad]))
+        for one, by_rad in zip(healthy, bias_rad, strict=True)
+    ]
+    assert not any(one.contradictions for one in with_misplaced_columns(turned, Nominal()))
+    circles = make_set(hidden_robot(3), 3, ("circle_ccw", "circle_cw"), 4)
+    turned = [
+        replace(one, truth_pose=one.truth_pose + np.array([0.0, 0.0, bias_rad[k % 4]]))
+        for k, one in enumerate(circles)
+    ]
+    assert not any(one.contradictions for one in with_misplaced_columns(turned, Nominal()))
