@@ -387,7 +387,7 @@ def _measure_stream(ctx: Context, name: str, stream: Stream) -> None:
     ctx.measure(f"{name}.largest_gap", 1e3 * stream.gap_s[2])
     ctx.measure(f"{name}.age", 1e3 * stream.age_s[0])
     limit_ms = age_limit_ms(name, ctx.source.config)
-    for key in ("latency_s", "transit_s"):  # the bench file's, added to what was measured
+    for key in ("latency_s", "transit_s", "sample_age_s"):  # the bench file's, added to what was measured
         taken_ms = 1e3 * getattr(ctx.source.config.devices()[name], key, 0.0)
         if 1e3 * stream.age_s[0] > limit_ms and 2.0 * taken_ms > limit_ms:
             ctx.note(

@@ -121,3 +121,10 @@ def test_a_short_watch_does_not_accuse_a_clock(tmp_path):
     rows = {row["key"]: row for row in done.result.facts["taken_for_granted"]}
     assert rows["tracker.mount_rotation_wxyz"]["state"] == "confirmed"
     assert rows["robot.wheel_radius_m"]["within"] == 0.06
+
+
+def test_an_age_of_the_bench_file_that_makes_samples_old_is_named(tmp_path):
+    wrong = {"loop.rate_hz": 50.0, "imu.sample_age_s": 0.3}
+    done = run("bring_up", tmp_path / "run", {"watch_s": 2.0}, seed=4, overrides=wrong)
+    assert "imu.age" in done.failed, done.result
+    assert any("imu.sample_age_s" in note for note in done.result.facts["notes"])
