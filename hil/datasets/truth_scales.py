@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_stretches import Stretches
 
@@ -17,7 +18,8 @@ _BENT, _STRAIGHT, _MOST_BENT = 0.4, 0.25, 6.0
 """Curvature of curves, of lines, and up to which curves count, 1/m."""
 _CURVES, _LINES = 0.008, 0.015
 """Differences that are named: contact with dry friction makes up to 0.002 and 0.0125 of radii 2.5 % apart."""
-_ASIDE_RAD = 0.3
+_ASIDE_RAD, _AS_BENT, _ALIKE = 0.3, 0.1, 0.5
+"""Difference of directions of travel that are one; share by which wheels and truth may bend unlike."""
 
 
 @dataclass(frozen=True)
@@ -57,19 +59,27 @@ def _length(one: Recording) -> _Length | None:
     own = Stretches.of(one)
     if own is None or own.scale is None:
         return None
+    wheels = one.nominal.geometry
+    places = wheels.x_m + 1j * wheels.y_m
+    bend, true_bend = (_bend(ways, places - places.mean()) for ways in (own.rolled, own.moved))
+    if abs(true_bend - bend) > _AS_BENT * abs(bend) + _STRAIGHT:
+        return None
     way = own.moved.mean(axis=1)
-    places = one.nominal.geometry.x_m + 1j * one.nominal.geometry.y_m
-    lever = places - places.mean()
-    turned = (np.conj(1j * lever) * own.moved).real.sum(axis=1) / float((np.abs(lever) ** 2).sum())
-    bend = float(np.sum(turned) / max(np.sum(np.abs(way)), 1e-9))
     return _Length(own.scale, bend, float(np.angle(np.sum(way**2)) / 2.0))
+
+
+def _bend(ways: Complexes, lever: Complexes) -> float:
+    """Turn per way, 1/m, of ways (s, 4) of wheels at places (4,) about their middle."""
+    turned = (np.conj(1j * lever) * ways).real.sum(axis=1) / float((np.abs(lever) ** 2).sum())
+    return float(np.sum(turned) / max(np.sum(np.abs(ways.mean(axis=1))), 1e-9))
 
 
 def _curves_beyond_lines(every: Sequence[_Length | None]) -> tuple[float, list[int]]:
     """Share by which curves are longer than lines, and their indices; 0 without curves to both sides.
 
     Compared are lines and curves on which the body looks the same way, as contact may differ by direction.
-    The scale of the curves is that at no curvature.
+    The scale of the curves is that at no curvature. Curves to one side that differ by half as much among
+    each other are no case of this.
     """
     known = [(k, own) for k, own in enumerate(every) if own is not None]
     lines = [own for _, own in known if abs(own.bend) < _STRAIGHT]
@@ -85,7 +95,9 @@ def _curves_beyond_lines(every: Sequence[_Length | None]) -> tuple[float, list[i
         scales = np.array([own.scale for _, own in alike])
         straight = float(np.linalg.lstsq(rows, scales, rcond=None)[0][0])
         off = straight / float(np.median(ways)) - 1.0
-        found = max(found, (off, [k for k, _ in alike]), key=lambda own: abs(own[0]))
+        spread = max(float(np.ptp(scales[side])) for side in (bends > 0.0, bends < 0.0))
+        if spread < _ALIKE * abs(off):
+            found = max(found, (off, [k for k, _ in alike]), key=lambda own: abs(own[0]))
     return found
 
 

@@ -152,6 +152,12 @@ def test_circles_of_another_scale_than_lines_are_named(data, contact, scale):
     assert named(with_truth_scales(some), "as lines, to both sides") == (circles if scale != 1.0 else [])
 
 
+def test_one_circle_that_is_mirrored_or_scaled_says_nothing_of_the_others(data):
+    for change in (scaled(1.0, -1.0, -1.0), scaled(1.05, 1.05, 1.0)):
+        some = [spoilt(one, change) if one.name == "circle_cw_2" else one for one in data]
+        assert named(with_truth_scales(some), "as lines, to both sides") == []
+
+
 @pytest.mark.parametrize("scale", [1.0, 1.02])
 def test_lines_alone_cannot_tell_an_axis_from_slip(data, scale):
     lines = [spoilt(one, scaled(1.0, scale, 1.0)) for one in data if one.motion.startswith("line")]
