@@ -20,6 +20,11 @@ _GRID_S, _WIDE, _NARROW = 0.02, 20, 6
 _BESIDE, _USUAL, _FEWEST = 25, 99.0, 200
 _LEAST, _TIMES = (1e-3, 1.5e-3), (8.0, 7.0)
 """Least steps, m and rad, and their least ratio to what 99 % elsewhere in the recording are below."""
+_SEVERAL, _QUARTER = 3, 4
+_HIDDEN = (
+    "{} of {} recordings have a ground truth that steps, as where parts of two cameras or maps are joined; "
+    "here a step may be hidden by noise: calibrate the cameras together"
+)
 _CHANGE, _CHANGES, _TYPICAL, _NOTHING = 0.2, 10, 90.0, 1e-9
 
 
@@ -43,11 +48,18 @@ class Seam:
 
 
 def with_truth_seams(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings; `contradictions` name steps from 1 mm or 1.5 mrad on that stand out of the noise."""
+    """The recordings; `contradictions` name steps from 1 mm or 1.5 mrad on that stand out of the noise.
+
+    Where three recordings, and a quarter of all, have one, so may the others in which noise hides it: all
+    contradict.
+    """
     found = [None if one.contradictions else seam(one) for one in recordings]
+    many = sum(own is not None for own in found)
+    hidden = _HIDDEN.format(many, len(found)) if many >= _SEVERAL and _QUARTER * many >= len(found) else ""
+    said = [hidden if own is None else own.in_words() for own in found]
     return [
-        one if own is None else replace(one, contradictions=(*one.contradictions, own.in_words()))
-        for one, own in zip(recordings, found, strict=True)
+        replace(one, contradictions=(*one.contradictions, why)) if why and not one.contradictions else one
+        for one, why in zip(recordings, said, strict=True)
     ]
 
 

@@ -97,6 +97,15 @@ def test_a_truth_of_two_cameras_is_found_in_each_recording(data, change):
     assert len(found) >= len(data) - 1
 
 
+def test_a_step_in_many_recordings_may_be_hidden_in_the_others(data):
+    """A step in two of twelve is theirs alone."""
+    for many in (2, 4):
+        some = [spoilt(one, stepping(4e-3, 0.0, 0.0)) if k < many else one for k, one in enumerate(data)]
+        found = with_truth_seams(some)
+        assert len(named(found, "steps by")) == many
+        assert len(named(found, "hidden by noise")) == (0 if many == 2 else len(data) - many)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_slip_and_noise_are_neither(seed):
     contact = ("viscous", "coulomb", "creep", "elastic")[seed]
