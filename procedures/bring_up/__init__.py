@@ -291,8 +291,11 @@ def run(ctx: Context) -> None:
         return
     with ctx.step("body", timeout_s=120.0):
         shown = move_body(ctx, bench)
+    told: dict[str, list[str]] = {}
     for check in bench.parameters.take(check for check in shown if check.state == "contradicted"):
-        ctx.note(f"{check.text}; {advice(check)}.")
+        told.setdefault(check.text, []).append(advice(check))
+    for text, remedies in told.items():
+        ctx.note(f"{text}; {' or '.join(remedies)}.")
     wrong = [check for check in shown if check.state == "contradicted" and part_of(check.key) is None]
     ctx.measure("contradicted_by_steps", len(wrong))
     leave_part(ctx, "signs", values=_signs(ctx))
