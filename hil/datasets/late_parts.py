@@ -75,7 +75,7 @@ class Misfits:
     def gains(self) -> dict[str, Array]:
         """Logarithm of the likelihood ratio of each cause, for its delays, against a common delay alone."""
         none = self.wheels[_NEAR : 3 * _NEAR + 1]
-        least = float(none.sum(axis=1).min())
+        least = max(float(none.sum(axis=1).min()), _LEAST)
         n, late = len(none), np.arange(-_NEAR, _NEAR + 1)
         found = dict[str, Array]()
         for alone in (*((i,) for i in range(len(WHEELS))), *_PAIRS):
