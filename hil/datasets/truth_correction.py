@@ -29,6 +29,8 @@ from hil.datasets.wheel_log import Recording
 _LATE_S, _PERIODS = 0.03, 0.1
 _FAST, _FAST_ALONE = 5e-4, 1e-3
 _HEADING_RAD, _HEADING_STD_RAD, _OTHER_RAD, _FAR_RAD = 0.03, 0.01, 0.04, 1.0
+_UNLIKELY_M = 0.25
+"""Distance of a tracked point from the middle of the wheels that a ground truth alone does not show."""
 _REVERSE_RAD = 2.6
 _CENTRE_M, _CENTRE_STD_M, _OTHER_M = 0.01, 3e-3, 0.02
 _SCALE, _NOTED = 0.03, 1.25
@@ -116,7 +118,8 @@ def _common(recordings: Sequence[Recording], fits: Sequence[TruthFit | None]) ->
         for fit in fits
     ]
     alone = {one.name: own for one, own in zip(recordings, fasts, strict=True) if own != fast}
-    headings = [(complex(fit.heading_rad), fit.heading_std_rad) for fit in known]
+    point_m = centre_m if bodies else 0j
+    headings = [(complex(own), std) for own, std in (_heading(fit, point_m) for fit in known)]
     heading, by_ways = _agreed(headings, _HEADING_STD_RAD, _OTHER_RAD)
     heading_rad = heading.real if abs(heading) >= _HEADING_RAD else 0.0
     if heading_rad and wheel_alone(recordings, recordings[0].nominal.geometry) is not None:
@@ -187,12 +190,13 @@ def _unlike(fit: TruthFit | None, found: _Found, session: str | None) -> tuple[s
         return ()
     if out := list(beyond_alone(fit, found.typical_scale)):
         return tuple(out)
-    off_rad, off_m = fit.heading_rad - found.typical_rad, fit.centre_m - found.centre_m
+    own_rad, std_rad = _heading(fit, found.centre_m)
+    off_rad, off_m = own_rad - found.typical_rad, fit.centre_m - found.centre_m
     off_rad = (off_rad + np.pi) % (2.0 * np.pi) - np.pi
-    far = abs(off_rad) > max(_OTHER_RAD, STDS * fit.heading_std_rad)
+    far = abs(off_rad) > max(_OTHER_RAD, STDS * std_rad)
     if session:
         out.append(session)
-    elif far and fit.heading_std_rad < _HEADING_STD_RAD:
+    elif far and std_rad < _HEADING_STD_RAD:
         out.append(
             f"the heading of its ground truth is {off_rad:.2f} rad off that of the other recordings, or all "
             f"its steering angles are {-off_rad:.2f} rad off theirs (a limit, zeros that were set anew)"
@@ -202,6 +206,17 @@ def _unlike(fit: TruthFit | None, found: _Found, session: str | None) -> tuple[s
             f"its ground truth tracks a point {1e3 * abs(off_m):.0f} mm from that of the other recordings"
         )
     return tuple(out)
+
+
+def _heading(fit: TruthFit, point_m: complex) -> tuple[float, float]:
+    """Heading of one ground truth and its standard error, rad; of a known point if its own is unlikely.
+
+    Where the robot slips on a line, a point far from the middle of the wheels seems to be tracked, and the
+    heading of the line would follow from it.
+    """
+    if abs(fit.centre_m - point_m) > _UNLIKELY_M:
+        return fit.heading_with(point_m), fit.direction_std_rad
+    return fit.heading_rad, fit.heading_std_rad
 
 
 def _agreed(measured: Sequence[tuple[complex, float]], std: float, tolerance: float) -> tuple[complex, int]:
