@@ -23,6 +23,12 @@ def motion_of(name: str) -> str:
     return _REPETITION.sub("", name) or name
 
 
+def repetition_of(name: str) -> str:
+    """Repetition in a recording's name: `line_x_2` -> `_2`; empty where it has none."""
+    found = _REPETITION.search(name)
+    return found.group() if found else ""
+
+
 def named_apart(recordings: Sequence[Recording]) -> list[Recording]:
     """Make the names unique: equal names get their distinguishing folders, as `1/line_x_1`.
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.calibration.synthetic import hidden_robot, make_set
+from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
 from hil.datasets.cleaning import Log
 from hil.datasets.misplaced_columns import with_misplaced_columns
@@ -93,6 +93,17 @@ def test_a_column_that_is_late_or_exchanged_is_named_in_all_recordings(healthy, 
 def test_a_fault_of_one_recording_is_named_there_alone(healthy):
     found = with_misplaced_columns([late(healthy[0], delta=[BL]), *healthy[1:]], Nominal())
     assert [one.name for one in found if one.contradictions] == [healthy[0].name]
+
+
+def test_columns_exchanged_in_one_repetition_are_named_there_alone():
+    """Recordings of the other repetition say nothing is exchanged; lines follow their own repetition."""
+    data = make_set(hidden_robot(37, contact="viscous"), 37, MOTIONS, 2)
+    spoilt = [ordered(one, delta=(FL, BR, BL, FR)) if one.name.endswith("_2") else one for one in data]
+    found = with_misplaced_columns(spoilt, Nominal())
+    assert [one.name for one in found if one.contradictions] == [
+        one.name for one in data if one.name.endswith("_2")
+    ]
+    assert all("delta2 and delta3 are exchanged" in said for one in found for said in one.contradictions)
 
 
 @pytest.mark.parametrize("spoil", [lambda one: one, lambda one: late(one, truth=range(3))])
