@@ -490,7 +490,7 @@ def move_body(ctx: Context, bench: Bench) -> list[CrossCheck]:
     head = ["step", p.body, *seen]
     ctx.table("Small steps of the body", head, rows, "mm, and deg for the turn.")
     judged = step_checks(bench.config, ways, off) if p.body == "mocap" else camera_checks(bench.config, ways)
-    parts = 3 if len(sources) == 2 and bench.config.environment.on_wall else 2
+    parts = 3 if bench.config.environment.on_wall else 2
     return list(_mounts(bench, [*found, *judged], {"tracker.mount_rotation_wxyz": parts}))
 
 

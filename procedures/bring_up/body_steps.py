@@ -33,6 +33,7 @@ _HORNS_RAD = 0.044
 _BY = "small motions"
 _RADIUS, _PLACES = "robot.wheel_radius_m", ("robot.wheel_x_m", "robot.wheel_y_m")
 _MOUNT, _BODY, _ZEROS = "tracker.mount_rotation_wxyz", "mocap.body", "alignment.steer_zero_rad"
+_IMU_MOUNT = "imu.mount_rotation_wxyz"
 
 Ways = Mapping[str, Array]
 """Steps along x, along y and a turn, by source: (3, 3) rows of x, y (m) and turn (rad), in the body at its
@@ -84,6 +85,30 @@ def camera_checks(config: BenchConfig, ways: Ways) -> Iterator[CrossCheck]:
             value = getattr(getattr(config, table), name)
             yield CrossCheck(key, value, "contradicted", _BY, math.nan, turn, text)
     yield from _places(config, turn, math.inf)
+    yield from _direction_by_camera(config, _angle(wheels[0], seen[0]))
+
+
+def _direction_by_camera(config: BenchConfig, off_rad: float) -> Iterator[CrossCheck]:
+    """Direction of a step forwards by the wheels against that by a camera, rad: nothing else shows it.
+
+    On a wall gravity has shown that IMU and camera are turned alike: a plate that bears both is turned.
+    """
+    devices = config.devices()
+    mounts = {_MOUNT: getattr(devices["tracker"], "mount_rotation_wxyz", ())}
+    if abs(off_rad) <= _SAME_RAD:
+        partly = _confirmed_rad(_MOUNT, mounts[_MOUNT], off_rad)
+        yield partly._replace(beside="what gravity and turns show", given=(_ZEROS,))
+    if abs(off_rad) <= _WRONG_RAD:
+        return
+    if config.environment.on_wall and "imu" in devices:
+        mounts[_IMU_MOUNT] = getattr(devices["imu"], "mount_rotation_wxyz", ())
+    looked_at = f"{' and '.join(mounts)} (a plate that bears both)" if len(mounts) > 1 else _MOUNT
+    text = (
+        f"by the wheels the body goes {math.degrees(off_rad):+.1f} deg beside what the camera sees: look at "
+        f"{looked_at}, or at {_ZEROS}"
+    )
+    for key, value in {**mounts, _ZEROS: config.alignment.steer_zero_rad}.items():
+        yield CrossCheck(key, value, "contradicted", _BY, math.nan, off_rad, text, unit="rad")
 
 
 def _wheels(config: BenchConfig, wheels: Array, true: Array, steered_off: Array) -> Iterator[CrossCheck]:

@@ -128,3 +128,22 @@ def test_an_age_of_the_bench_file_that_makes_samples_old_is_named(tmp_path):
     done = run("bring_up", tmp_path / "run", {"watch_s": 2.0}, seed=4, overrides=wrong)
     assert "imu.age" in done.failed, done.result
     assert any("imu.sample_age_s" in note for note in done.result.facts["notes"])
+
+
+@pytest.mark.parametrize("angle_rad", [0.14, -0.14])
+def test_a_plate_that_bears_imu_and_camera_is_contradicted_by_the_wheels(angle_rad):
+    """Nothing but the wheels shows a camera without motion capture which way the body goes."""
+    seen = ways()
+    found = list(camera_checks(CONFIG, seen | {"tracker": turned(seen["tracker"], angle_rad)}))
+    assert contradicted(found) == {
+        "tracker.mount_rotation_wxyz",
+        "imu.mount_rotation_wxyz",
+        "alignment.steer_zero_rad",
+    }
+
+
+def test_a_camera_that_agrees_with_the_wheels_confirms_no_more_than_its_direction():
+    (mount,) = (c for c in camera_checks(CONFIG, ways()) if c.key == "tracker.mount_rotation_wxyz")
+    assert mount.state == "confirmed"
+    assert mount.beside
+    assert mount.given == ("alignment.steer_zero_rad",)

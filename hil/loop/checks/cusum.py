@@ -181,6 +181,8 @@ class Sum:
             blamed = [(pair, name) for pair in pairs if against in pair.names for name in pair.names]
         causes = [found for pair, name in blamed if name != borne_out and (found := pair._cause(name))]
         look = "; ".join(f"{found.key}, {found.text}" for found in causes)
+        if sure and source == "servos" and not causes:
+            look = "single wheels (`hil run bring_up`): no factor and no angle of all wheels explains this"
         return Disagreement(
             source,
             f"in {(t_ns - self.since_ns) / NS_PER_S:.1f} s the robot {moved} "
