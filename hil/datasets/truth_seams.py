@@ -2,7 +2,8 @@
 
 Beside the motion of the wheels the path is a line in any half second, with a bend where the robot slips. A
 step at one instant is none of these. It is measured over 0.8 s and over 0.24 s; the smaller one counts, which
-a slip of a second does not reach. Starts and stops are left out: there a late clock looks like a step.
+a slip of a second does not reach. Starts and stops are left out: there a late clock looks like a step. So
+are gaps, and poses that are held: behind them the path catches up.
 """
 
 from collections.abc import Sequence
@@ -20,6 +21,8 @@ _GRID_S, _WIDE, _NARROW = 0.02, 20, 6
 _BESIDE, _USUAL, _FEWEST = 25, 99.0, 200
 _LEAST, _TIMES = (1e-3, 1.5e-3), (8.0, 7.0)
 """Least steps, m and rad, and their least ratio to what 99 % elsewhere in the recording are below."""
+_HELD_S, _HELD_ROWS = 0.06, 2.5
+"""Time without another pose, s and typical rows, that is a gap."""
 _SEVERAL, _QUARTER = 3, 4
 _HIDDEN = (
     "{} of {} recordings have a ground truth that steps, as where parts of two cameras or maps are joined; "
@@ -77,12 +80,22 @@ def seam(one: Recording) -> Seam | None:
     x, y, turn = twist_of_vectors(wheels, vectors).T
     middle = np.exp(0.5j * (pose[1:, 2] + pose[:-1, 2]))
     place = np.diff(pose[:, 0] + 1j * pose[:, 1]) - (x + 1j * y) * middle
-    counts = _steady(np.column_stack([x, y, turn]))
+    counts = _steady(np.column_stack([x, y, turn])) & _measured(one, grid_s)
     sizes = [_steps(rest, counts) for rest in (place, np.diff(pose[:, 2]) - turn)]
     (way_m, at), (turn_rad, then) = (_largest(*how) for how in zip(sizes, _LEAST, _TIMES, strict=True))
     if not way_m and not turn_rad:
         return None
     return Seam(float(grid_s[_WIDE + (at if way_m else then)] - one.t_s[0]), way_m, turn_rad)
+
+
+def _measured(one: Recording, grid_s: Array) -> Bools:
+    """Mask (n,) of instants around which no pose lacks or is held; poses before a gap may be held, too."""
+    new = np.concatenate([[True], np.any(np.diff(one.truth_pose, axis=0) != 0.0, axis=1)])
+    at_s = one.truth_t_s[new]
+    lasts_s = np.append(np.diff(at_s), np.inf)
+    behind = np.clip(np.searchsorted(at_s, grid_s, "right") - 1, 0, len(at_s) - 1)
+    lacks = lasts_s[behind] > max(_HELD_S, _HELD_ROWS * float(np.median(lasts_s)))
+    return np.asarray(np.convolve(lacks, np.ones(2 * (_WIDE + _CHANGES) + 1), "same") == 0.0, dtype=np.bool_)
 
 
 def _largest(size: Array, least: float, times: float) -> tuple[float, int]:
