@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.datasets.truth_deviations import STDS
+from hil.datasets.truth_noise import MEDIAN
 from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_stretches import Stretches
@@ -17,16 +19,25 @@ from hil.datasets.wheel_stretches import Stretches
 _BENT, _STRAIGHT, _MOST_BENT = 0.4, 0.25, 6.0
 """Curvature of curves, of lines, and up to which curves count, 1/m."""
 _CURVES, _LINES = 0.008, 0.015
-"""Differences that are named: contact with dry friction makes up to 0.002 and 0.0125 of radii 2.5 % apart."""
+"""Differences that are named, where they are four standard errors as well: contact with dry friction makes up
+to 0.002 and 0.0125 of radii 2.5 % apart."""
 _ASIDE_RAD, _AS_BENT, _ALIKE = 0.3, 0.1, 0.5
 """Difference of directions of travel that are one; share by which wheels and truth may bend unlike."""
 
 
 @dataclass(frozen=True)
 class _Length:
-    """Way by ground truth over way by wheels, curvature, 1/m, and direction of travel in the body, rad."""
+    """Lengths of a recording.
+
+    Attributes:
+        scale: way by ground truth over way by wheels.
+        std: its standard error by white noise of the ground truth.
+        bend: curvature, 1/m.
+        aside_rad: direction of travel in the body.
+    """
 
     scale: float
+    std: float
     bend: float
     aside_rad: float
 
@@ -65,7 +76,7 @@ def _length(one: Recording) -> _Length | None:
     if abs(true_bend - bend) > _AS_BENT * abs(bend) + _STRAIGHT:
         return None
     way = own.moved.mean(axis=1)
-    return _Length(own.scale, bend, float(np.angle(np.sum(way**2)) / 2.0))
+    return _Length(own.scale, own.scale_std, bend, float(np.angle(np.sum(way**2)) / 2.0))
 
 
 def _bend(ways: Complexes, lever: Complexes) -> float:
@@ -78,25 +89,27 @@ def _curves_beyond_lines(every: Sequence[_Length | None]) -> tuple[float, list[i
     """Share by which curves are longer than lines, and their indices; 0 without curves to both sides.
 
     Compared are lines and curves on which the body looks the same way, as contact may differ by direction.
-    The scale of the curves is that at no curvature. Curves to one side that differ by half as much among
-    each other are no case of this.
+    The scale of the curves is that at no curvature. Noise of the ground truth gives standard errors. Curves
+    to one side that differ by half as much among each other are no case of this.
     """
     known = [(k, own) for k, own in enumerate(every) if own is not None]
     lines = [own for _, own in known if abs(own.bend) < _STRAIGHT]
     curves = [(k, own) for k, own in known if _BENT < abs(own.bend) < _MOST_BENT]
     found: tuple[float, list[int]] = (0.0, [])
     for _, one in curves:
-        ways = [own.scale for own in lines if _between(own.aside_rad, one.aside_rad) < _ASIDE_RAD]
+        ways = [own for own in lines if _between(own.aside_rad, one.aside_rad) < _ASIDE_RAD]
         alike = [(k, own) for k, own in curves if _between(own.aside_rad, one.aside_rad) < _ASIDE_RAD]
         bends = np.array([own.bend for _, own in alike])
         if not ways or not bends.min() < 0.0 < bends.max():
             continue
         rows = np.column_stack([np.ones_like(bends), bends])
         scales = np.array([own.scale for _, own in alike])
-        straight = float(np.linalg.lstsq(rows, scales, rcond=None)[0][0])
-        off = straight / float(np.median(ways)) - 1.0
+        weights = np.linalg.pinv(rows)[0]
+        line, line_std = _middle(ways)
+        off = float(weights @ scales) / line - 1.0
+        std = float(np.hypot(np.linalg.norm(weights * [own.std for _, own in alike]), line_std))
         spread = max(float(np.ptp(scales[side])) for side in (bends > 0.0, bends < 0.0))
-        if spread < _ALIKE * abs(off):
+        if spread < _ALIKE * abs(off) and abs(off) > STDS * std:
             found = max(found, (off, [k for k, _ in alike]), key=lambda own: abs(own[0]))
     return found
 
@@ -109,8 +122,16 @@ def _between(one_rad: float, other_rad: float) -> float:
 def _sideways_beyond_ahead(known: Sequence[_Length]) -> float:
     """Share by which lines to the side are longer than lines ahead; 0 without both, or where curves tell."""
     lines = [own for own in known if abs(own.bend) < _STRAIGHT]
-    ahead = [own.scale for own in lines if _between(own.aside_rad, 0.0) < _ASIDE_RAD]
-    aside = [own.scale for own in lines if _between(own.aside_rad, 0.5 * np.pi) < _ASIDE_RAD]
+    ahead = [own for own in lines if _between(own.aside_rad, 0.0) < _ASIDE_RAD]
+    aside = [own for own in lines if _between(own.aside_rad, 0.5 * np.pi) < _ASIDE_RAD]
     if not ahead or not aside or any(_BENT < abs(own.bend) < _MOST_BENT for own in known):
         return 0.0
-    return float(np.median(aside)) / float(np.median(ahead)) - 1.0
+    (ahead_scale, ahead_std), (aside_scale, aside_std) = _middle(ahead), _middle(aside)
+    off = aside_scale / ahead_scale - 1.0
+    return off if abs(off) > STDS * float(np.hypot(ahead_std, aside_std)) else 0.0
+
+
+def _middle(lengths: Sequence[_Length]) -> tuple[float, float]:
+    """Median scale and its standard error."""
+    std = float(np.linalg.norm([own.std for own in lengths])) / len(lengths)
+    return float(np.median([own.scale for own in lengths])), (MEDIAN if len(lengths) > 2 else 1.0) * std

@@ -87,13 +87,14 @@ def other_sessions(
 def with_other_sessions(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings; `contradictions` name distances unlike those of other repetitions.
 
-    Repetitions have the same radii and the same slip: the medians of their scales differ by 0.01 at most. A
-    difference of 0.014 in two motions is one of sessions: the larger group is kept, and none of two that are
-    as large; in a single motion `notes` say so.
+    Repetitions have the same radii and the same slip: the medians of their scales differ by 0.01 at most, and
+    by what noise of the ground truth makes of them. A difference of 0.014, and of four standard errors, in
+    two motions is one of sessions: the larger group is kept, and none of two that are as large; in a single
+    motion `notes` say so.
     """
     every = [Stretches.of(one) for one in recordings]
     measured = {
-        k: (own.scale - 1.0, 0.0)
+        k: (own.scale - 1.0, own.scale_std)
         for k, own in enumerate(every)
         if own is not None and own.scale is not None and abs(own.scale - 1.0) < _OTHERWISE
     }

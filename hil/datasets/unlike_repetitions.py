@@ -15,13 +15,15 @@ import numpy as np
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.datasets.repetition_groups import Groups, against, chosen, grouped
+from hil.datasets.truth_deviations import STDS
 from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_stretches import Stretches
 
 _DIFFERS, _MOTIONS, _FAR = 0.012, 2, 0.5
 """Difference of two repetitions (rad, share of the way): in one motion 0.006 at most of the real recordings,
-and 0.007 of noisy ones in two. Beyond `_FAR` other checks name what it is."""
+and 0.007 of noisy ones in two; by noise of the ground truth four standard errors. Beyond `_FAR` other checks
+name what it is."""
 _LEFT, _CLEARLY, _NOISE, _IN_MOST = 0.3, 3.0, 0.003, 0.8
 """Share of the squared differences that a cause may leave, by how much more all others have to leave, noise,
 and the share of recordings in which it has to."""
@@ -41,11 +43,13 @@ class _Ways:
 
     Attributes:
         off: (4,) logarithms of the true way of each wheel over its own one.
+        std: (4,) standard errors of each part of these, by white noise of the ground truth.
         by_heading: (4,) change of these with the heading of the ground truth, rad: none in turns on the spot.
         by_point: (4,) change of these with the tracked point (x + iy, m).
     """
 
     off: Complexes
+    std: Array
     by_heading: Complexes
     by_point: Complexes
 
@@ -61,6 +65,7 @@ class _Ways:
         shares = ([way[rows] / own.moved[rows, i] for i, rows in enumerate(own.goes.T)] for way in by)
         return cls(
             own.off,
+            own.off_std,
             *(np.array([complex(np.median(g.real), np.median(g.imag)) for g in one]) for one in shares),
         )
 
@@ -75,7 +80,7 @@ def with_unlike_repetitions(recordings: Sequence[Recording]) -> list[Recording]:
     for k in found:
         by_motion.setdefault(recordings[k].motion, []).append(k)
     motions = {
-        motion: grouped(members, lambda a, b: _apart(found[a], found[b]) > _DIFFERS)
+        motion: grouped(members, lambda a, b: _differ(found[a], found[b]))
         for motion, members in by_motion.items()
     }
     if sum(len(groups) > 1 for groups in motions.values()) < _MOTIONS:
@@ -99,8 +104,10 @@ def with_unlike_repetitions(recordings: Sequence[Recording]) -> list[Recording]:
     return out
 
 
-def _apart(one: _Ways, other: _Ways) -> float:
-    return float(np.abs(_without_scale(one.off - other.off)).max())
+def _differ(one: _Ways, other: _Ways) -> bool:
+    """Whether two repetitions differ by more than usual, and than noise of their ground truth explains."""
+    bounds = np.maximum(_DIFFERS, STDS * np.hypot(one.std, other.std))
+    return bool(np.any(np.abs(_without_scale(one.off - other.off)) > bounds))
 
 
 def _without_scale(off: Complexes) -> Complexes:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.core.geometry import Array, Bools
 from hil.datasets.sampling import interpolate
+from hil.datasets.truth_noise import MEDIAN, noise_of_ways_m, white_noise
 from hil.datasets.wheel_displacements import Complexes, Drive, by_truth, by_wheels, rolling
 from hil.datasets.wheel_log import Recording
 
@@ -25,6 +26,9 @@ class Stretches:
         moved: (s, 4) ways by ground truth.
         turned: (s, 4) turns of the wheel angles, rad.
         steering: (2, s, 4) steering angles at begin and end, rad.
+        noise_m: (5,) standard deviations of a component of the ways by ground truth, of the wheels and the
+            middle, by white noise of its poses.
+        noise_rad: standard deviation of the heading.
     """
 
     at_s: Array
@@ -32,6 +36,8 @@ class Stretches:
     moved: Complexes
     turned: Array
     steering: Array
+    noise_m: Array
+    noise_rad: float
 
     @classmethod
     def of(cls, one: Recording) -> Stretches | None:
@@ -56,7 +62,9 @@ class Stretches:
         phi, delta = (interpolate(edges_s, one.t_s, c) for c in (one.wheel_angle_rad, one.steering_rad))
         at_s = 0.5 * (edges_s[1:] + edges_s[:-1]) - one.t_s[0]
         pair = np.stack([delta[:-1], delta[1:]])[:, mask]
-        made = cls(at_s[mask], rolled[mask], moved[mask], np.abs(np.diff(phi, axis=0))[mask], pair)
+        turned = np.abs(np.diff(phi, axis=0))[mask]
+        noise = noise_of_ways_m(one), float(white_noise(one)[2])
+        made = cls(at_s[mask], rolled[mask], moved[mask], turned, pair, *noise)
         return made if len(made.at_s) >= _FEWEST else None
 
     @property
@@ -78,12 +86,18 @@ class Stretches:
     @property
     def scale(self) -> float | None:
         """Way of the middle by ground truth over that by wheels, the median; None where it hardly moves."""
-        rolled, moved = self.rolled.mean(axis=1), self.moved.mean(axis=1)
-        goes = np.abs(rolled) > _GOES * float(np.percentile(np.abs(self.rolled), _TYPICAL))
+        rolled, moved, goes = self.rolled.mean(axis=1), self.moved.mean(axis=1), self._goes_as_a_whole()
         if np.count_nonzero(goes) < _FEWEST:
             return None
         along = (np.conj(rolled) * moved).real[goes] / np.abs(rolled[goes]) ** 2
         return float(np.median(along))
+
+    @property
+    def scale_std(self) -> float:
+        """Standard error of the scale by white noise of the ground truth; infinite without a scale."""
+        size = np.abs(self.rolled.mean(axis=1))
+        size = size[self._goes_as_a_whole()]
+        return _error(float(self.noise_m[-1]) / size) if len(size) >= _FEWEST else np.inf
 
     @property
     def off(self) -> Complexes | None:
@@ -93,3 +107,21 @@ class Stretches:
             return None
         every = [np.log(self.moved[rows, i] / self.rolled[rows, i]) for i, rows in enumerate(goes.T)]
         return np.array([complex(np.median(one.real), np.median(one.imag)) for one in every])
+
+    @property
+    def off_std(self) -> Array:
+        """Standard errors (4,) of each part of `off` by white noise of the ground truth."""
+        goes, size = self.goes, np.abs(self.moved)
+        sizes = [size[rows, i] for i, rows in enumerate(goes.T)]
+        noises = zip(self.noise_m, sizes, strict=False)
+        return np.array([_error(np.hypot(noise_m / own, self.noise_rad)) for noise_m, own in noises])
+
+    def _goes_as_a_whole(self) -> Bools:
+        """Mask (s,) of stretches in which the middle goes by its wheels."""
+        size = np.abs(self.rolled.mean(axis=1))
+        return np.asarray(size > _GOES * float(np.percentile(np.abs(self.rolled), _TYPICAL)), dtype=np.bool_)
+
+
+def _error(each: Array) -> float:
+    """Standard error of the median of values (n,) with these standard deviations."""
+    return float(MEDIAN * np.sqrt(np.mean(each**2) / len(each)))

@@ -10,12 +10,14 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
 from hil.cli import main
 from hil.datasets.plain_csv import write_plain
+from hil.datasets.read import read_recordings
 from hil.datasets.recording_names import MOTIONS
 from hil.datasets.sampling import interpolate
 from hil.datasets.smooth_rows import with_smooth_rows
 from hil.datasets.truth_at_rest import with_truth_at_rest
 from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_in_turns import with_truth_in_turns
+from hil.datasets.truth_noise import white_noise
 from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
 
@@ -252,3 +254,48 @@ def test_without_rests_a_frame_that_drifts_shows_in_turns(data, speed, late_s):
     some = [replace(spoilt(one, drifting(*speed)), truth_t_s=one.truth_t_s + late_s) for one in cut]
     found = named(with_truth_in_turns(with_truth_at_rest(some)), "none rests")
     assert found == ([one.name for one in data] if any(speed) else [])
+
+
+def noisy(place_m, heading_rad, seed):
+    rng = np.random.default_rng(seed)
+    return lambda t_s, pose: pose + rng.normal(size=pose.shape) * [place_m, place_m, heading_rad]
+
+
+@pytest.mark.parametrize("contact", ["viscous", "coulomb"])
+@pytest.mark.parametrize("noise", [(1e-3, 3e-3), (3e-3, 0.01)])
+def test_a_healthy_set_with_a_noisy_truth_is_not_refused(contact, noise, tmp_path):
+    for k, one in enumerate(make_set(hidden_robot(37, contact=contact), 37, repetitions=2)):
+        write_plain(tmp_path / f"{one.name}.csv", spoilt(one, noisy(*noise, seed=k)))
+    assert [one.contradictions for one in read_recordings([tmp_path])] == 12 * [()]
+
+
+def test_noise_of_the_truth_is_measured_whatever_the_motion(data):
+    for noise in ((3e-4, 1e-3), (3e-3, 0.01)):
+        for k, one in enumerate(data):
+            own = white_noise(spoilt(one, noisy(*noise, seed=k)))
+            assert own == pytest.approx([noise[0], noise[0], noise[1]], rel=0.2)
+
+
+def held(begin_s, end_s):
+    """The capture system gives one pose for a while, then goes on where the robot is."""
+
+    def change(t_s, pose):
+        rows = (t_s > begin_s) & (t_s < end_s)
+        pose[rows] = pose[np.argmax(rows)]
+        return pose
+
+    return change
+
+
+@pytest.mark.parametrize("left_out", [False, True])
+@pytest.mark.parametrize("lasts_s", [0.15, 3.0])
+def test_a_truth_that_was_held_in_every_recording_is_no_seam(data, lasts_s, left_out):
+    """Behind held rows, or the gap that they leave, the path catches up."""
+    some = [spoilt(one, held(8.0, 8.0 + lasts_s)) for one in data]
+    if left_out:
+        new = [np.append(True, np.diff(one.truth_pose, axis=0).any(axis=1)) for one in some]
+        some = [
+            replace(one, truth_t_s=one.truth_t_s[rows], truth_pose=one.truth_pose[rows])
+            for one, rows in zip(some, new, strict=True)
+        ]
+    assert not any(one.contradictions for one in with_truth_seams(some))
