@@ -31,6 +31,7 @@ from hil.datasets.truth_of_wheels import with_odometry_in_truth
 from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
 from hil.datasets.truth_sessions import with_other_sessions
+from hil.datasets.uneven_wheels import with_uneven_wheels
 from hil.datasets.unlike_repetitions import with_unlike_repetitions
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wheel_log import Recording
@@ -169,7 +170,7 @@ def read_recordings(
     out = with_smooth_rows(with_integrated_angles(out))
     out = with_truth_in_turns(with_truth_at_rest(out))
     out = with_angle_faults(with_late_parts(with_misplaced_columns(out, robot)))
-    out = corrected(with_unlike_repetitions(out))
+    out = corrected(with_uneven_wheels(with_unlike_repetitions(out)))
     out = with_truth_scales(with_truth_seams(out))
     out = with_odometry_in_truth(with_other_sessions(out))
     check_signs(out, robot, of_all=unusable is not None)
