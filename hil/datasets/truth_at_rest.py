@@ -2,7 +2,7 @@
 
 While no wheel turns nothing but the frame of the capture system, or a slide of the whole robot, moves the
 poses. Each rest gives a speed, by a line through means of its rows, with a standard error from what the line
-leaves. Noise that changes slowly is in that error, too.
+leaves, and from the noise of the whole recording. Noise that changes slowly is in that error, too.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ import numpy as np
 from hil.core.geometry import Array
 from hil.datasets.sampling import interpolate
 from hil.datasets.truth_deviations import significant
+from hil.datasets.truth_noise import white_noise
 from hil.datasets.wheel_log import Recording
 
 _GRID_S, _LEAST_S = 0.1, 0.5
@@ -20,7 +21,7 @@ _WHEEL_RAD, _STEERING_RAD, _ROLLED_RAD = 4e-3, 0.01, 0.012
 """Turns over 0.1 s, and of a wheel over the whole rest, that rounding and dither explain."""
 _SETTLES_S, _BEFORE_S, _LEAST_USED_S = 0.5, 0.15, 0.25
 """Time after a stop in which tyres relax, before a start, and the least that is left to measure a speed."""
-_ROWS, _MEANS, _FEWEST, _SPREAD = 15, 10, 4, 4.0
+_ROWS, _MEANS, _FEWEST, _SPREAD = 7, 10, 4, 4.0
 _FLOOR = np.array([5e-6, 5e-6, 2e-5])
 """Least standard error of a speed, m/s, m/s, rad/s: rests of good recordings differ by as much."""
 _COMMON, _COMMON_STD = np.array([1e-4, 1e-4, 7e-5]), np.array([1e-4, 1e-4, 2e-4])
@@ -34,33 +35,43 @@ FRAME_OR_SLIDE = (
 
 @dataclass(frozen=True)
 class _Rest:
-    """Speed (3,), m/s, m/s, rad/s, of the ground truth in a rest, its standard error, and its length, s."""
+    """Ground truth in a rest.
+
+    Attributes:
+        speed: (3,) speed, m/s, m/s, rad/s.
+        std: (3,) its standard errors.
+        lasts_s: length, s.
+        behind: whether the robot drove before it.
+    """
 
     speed: Array
     std: Array
     lasts_s: float
+    behind: bool
 
 
 def with_truth_at_rest(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings; `contradictions` name ground truth that moves while no wheel turns.
 
-    In a set it is named from 0.1 mm/s or 0.07 mrad/s on, four standard errors of all rests together; in a
+    In a set it is named from 0.1 mm/s or 0.07 mrad/s on, four standard errors of all rests together, or of
+    those behind the drives: a drift may begin with the motion, and a robot slides where it came to. In a
     single recording from 0.25 mm/s or 0.3 mrad/s on, if each of its rests shows five standard errors, or an
     only one ten.
     """
     found = [
-        [] if one.contradictions else [rest for rows in rests(one) for rest in _measured(*rows)]
+        [] if one.contradictions else [rest for rows in rests(one) for rest in _measured(one, *rows)]
         for one in recordings
     ]
     every = [rest for own in found for rest in own]
-    common = np.array([_common(every, k) for k in range(3)])
-    if common.any():
-        said = f"{_in_words(common, every)} (all {len(every)} rests of the set): {FRAME_OR_SLIDE}"
-        return [replace(one, contradictions=(*one.contradictions, said)) for one in recordings]
+    for some, where in ((every, "of the set"), ([r for r in every if r.behind], "behind a drive")):
+        common = np.array([_common(some, k) for k in range(3)])
+        if common.any():
+            said = f"{_in_words(common)} (all {len(some)} rests {where}): {FRAME_OR_SLIDE}"
+            return [replace(one, contradictions=(*one.contradictions, said)) for one in recordings]
     out = []
     for one, own in zip(recordings, found, strict=True):
         alone = _alone(own)
-        said = f"{_in_words(alone, own)} ({_count(own)}): {FRAME_OR_SLIDE}"
+        said = f"{_in_words(alone)} ({_count(own)}): {FRAME_OR_SLIDE}"
         out.append(replace(one, contradictions=(*one.contradictions, said)) if alone.any() else one)
     return out
 
@@ -82,7 +93,7 @@ def _alone(rests: Sequence[_Rest]) -> Array:
     return np.where(clear, least, 0.0)
 
 
-def _in_words(speed: Array, rests: Sequence[_Rest]) -> str:
+def _in_words(speed: Array) -> str:
     sizes = []
     if speed[:2].any():
         sizes.append(f"moves by {1e3 * np.hypot(*speed[:2]):.2f} mm/s")
@@ -119,7 +130,7 @@ def rests(one: Recording) -> list[tuple[Array, Array]]:
     return out
 
 
-def _measured(at_s: Array, pose: Array) -> list[_Rest]:
+def _measured(one: Recording, at_s: Array, pose: Array) -> list[_Rest]:
     """The speed of poses (n, 3) at times (n,), s; none where it changes, or is that of a motion.
 
     So it is where the clock of the ground truth is late or early.
@@ -129,14 +140,17 @@ def _measured(at_s: Array, pose: Array) -> list[_Rest]:
         np.array([part.mean(axis=0) for part in np.array_split(rows, means)]) for rows in (at_s, pose)
     )
     speed, std = _line(t_s, values)
-    std = np.maximum(std, _line(at_s, pose)[1])
+    by_noise = white_noise(one) / np.sqrt(np.sum((at_s - at_s.mean()) ** 2))
+    std = np.maximum.reduce([std, _line(at_s, pose)[1], by_noise])
     half = means // 2
     halves = [_line(t_s[part], values[part])[0] for part in (slice(0, half), slice(means - half, means))]
     spread = _SPREAD * std * (means / half) ** 1.5
     changes = np.abs(halves[1] - halves[0]) > np.maximum(spread, np.abs(speed))
     if np.any(changes | (np.abs(speed) > _MOTION)):
         return []
-    return [_Rest(speed, np.maximum(std, _FLOOR), float(at_s[-1] - at_s[0]))]
+    before = one.wheel_angle_rad[one.t_s <= at_s[0]]
+    behind = len(before) > 0 and float(np.ptp(before, axis=0).max()) > _ROLLED_RAD
+    return [_Rest(speed, np.maximum(std, _FLOOR), float(at_s[-1] - at_s[0]), behind)]
 
 
 def _line(t_s: Array, values: Array) -> tuple[Array, Array]:

@@ -115,7 +115,7 @@ def test_slip_and_noise_are_neither(seed):
     assert not any(one.contradictions for one in with_truth_seams(with_truth_at_rest(made)))
 
 
-@pytest.mark.parametrize("by_s", [-2.0, -0.6, -0.3, 0.3, 0.6, 2.0])
+@pytest.mark.parametrize("by_s", [-2.0, -0.6, -0.3, 0.3, 0.45, 0.5, 0.6, 0.7, 2.0])
 def test_a_truth_that_is_late_does_not_drift(data, by_s):
     late = [replace(one, truth_t_s=one.truth_t_s + by_s) for one in data]
     assert not any(one.contradictions for one in with_truth_at_rest(late))
@@ -299,3 +299,21 @@ def test_a_truth_that_was_held_in_every_recording_is_no_seam(data, lasts_s, left
             for one, rows in zip(some, new, strict=True)
         ]
     assert not any(one.contradictions for one in with_truth_seams(some))
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_drift_that_begins_with_the_drive_is_named_and_nothing_else(data, every, tmp_path):
+    """The rest before it shows none. Rows at 62 and 31 Hz."""
+
+    def late(t_s, pose):
+        return pose + np.clip(t_s - 1.0, 0.0, None)[:, None] * np.array([8e-4, -5e-4, 0.0])
+
+    for one in data:
+        write_plain(tmp_path / f"{one.name}.csv", spoilt(one, late))
+        head, *rows = (tmp_path / f"{one.name}.csv").read_text().splitlines()
+        (tmp_path / f"{one.name}.csv").write_text("\n".join([head, *rows[::every]]))
+    found = read_recordings([tmp_path])
+    assert len(named(found, "robot slides")) == len(data)
+    assert {len(one.contradictions) for one in found} == {1}
+    moved = re.search(r"moves by (\S+) mm/s", found[0].contradictions[0])
+    assert float(moved.group(1)) == pytest.approx(0.94, abs=0.05)
