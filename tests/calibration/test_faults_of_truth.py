@@ -21,6 +21,8 @@ from hil.datasets.truth_noise import white_noise
 from hil.datasets.truth_scales import with_truth_scales
 from hil.datasets.truth_seams import with_truth_seams
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def data():

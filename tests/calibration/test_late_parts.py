@@ -11,6 +11,8 @@ from hil.datasets.late_parts import with_late_parts
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module", params=["viscous", "elastic"])
 def healthy(request):

@@ -11,6 +11,8 @@ from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
 from hil.datasets.sampling import interpolate
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def data():

@@ -8,6 +8,8 @@ import pytest
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.datasets.uneven_wheels import with_uneven_wheels
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def healthy():

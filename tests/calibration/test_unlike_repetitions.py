@@ -12,6 +12,8 @@ from hil.datasets.truth_correction import corrected
 from hil.datasets.truth_sessions import with_other_sessions
 from hil.datasets.unlike_repetitions import with_unlike_repetitions
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def healthy():
