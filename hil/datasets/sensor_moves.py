@@ -13,7 +13,7 @@ from hil.core.signals import Inputs, Status
 from hil.datasets.sampling import interpolate, wheel_steps
 from hil.datasets.wheel_log import Recording
 from hil.loop.alignment import Alignment
-from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
+from hil.robot.kinematics import WheelGeometry, forward
 from hil.robot.odometry import integrate
 
 _STRIDE_S, _FINE = 1.0, 50
@@ -23,8 +23,7 @@ def moves_by_wheels(recording: Recording, edges_s: Array, geometry: WheelGeometr
     """Moves (S, 3) between edges (S + 1,), each in the frame of its begin."""
     fine_s = np.linspace(edges_s[0], edges_s[-1], (len(edges_s) - 1) * _FINE + 1)
     rotation, steering = wheel_steps(recording, fine_s, "position")
-    vectors = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
-    return moves(integrate(np.zeros(3), twist_of_vectors(geometry, vectors))[::_FINE])
+    return moves(integrate(np.zeros(3), forward(geometry, rotation * geometry.radius_m, steering))[::_FINE])
 
 
 def moves(poses: Array) -> Array:

@@ -13,7 +13,7 @@ from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import interpolate, wheel_steps
 from hil.datasets.sensor_moves import camera_path, gyro_turns
 from hil.datasets.wheel_log import Recording
-from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
+from hil.robot.kinematics import WheelGeometry, forward
 from hil.robot.odometry import integrate
 
 _GRID_S, _WINDOW, _FURTHEST = 0.01, 20, 50
@@ -61,8 +61,7 @@ def late_sensors(recording: Recording, geometry: WheelGeometry) -> Iterator[str]
 
 def _by_wheels(recording: Recording, grid_s: Array, geometry: WheelGeometry) -> Array:
     rotation, steering = wheel_steps(recording, grid_s, "position")
-    vectors = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
-    return integrate(np.zeros(3), twist_of_vectors(geometry, vectors))
+    return integrate(np.zeros(3), forward(geometry, rotation * geometry.radius_m, steering))
 
 
 def _signal(path: Array, lever: float, with_way: bool) -> Array:

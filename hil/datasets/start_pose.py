@@ -15,7 +15,7 @@ from hil.core.geometry import Array
 from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import interpolate, truth_window, wheel_edges, wheel_steps
 from hil.datasets.wheel_log import Recording
-from hil.robot.kinematics import twist_of_vectors, wheel_vectors
+from hil.robot.kinematics import forward
 from hil.robot.odometry import integrate, sample_path
 
 _REST_RAD = 0.02
@@ -74,8 +74,7 @@ def _fitted(recording: Recording, at_s: Array, truth: Array) -> Array:
     wheels = recording.nominal.geometry
     edges_s = wheel_edges(recording, at_s[0], at_s[-1])
     rotation, steering = wheel_steps(recording, edges_s, "position")
-    vectors = wheel_vectors(rotation * wheels.radius_m, steering - wheels.steering_zero_rad)
-    motion = twist_of_vectors(wheels, vectors, "exact")
+    motion = forward(wheels, rotation * wheels.radius_m, steering)
     moved = sample_path(at_s, edges_s, integrate(np.zeros(3), motion), motion)
     size = np.hypot(motion[:, 0], motion[:, 1]) + lever_m(wheels) * np.abs(motion[:, 2])
     way_m = np.interp(at_s, edges_s, np.concatenate([[0.0], np.cumsum(size)]))

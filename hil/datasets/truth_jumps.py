@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from hil.core.geometry import Array, Bools
 from hil.datasets.nominal_robot import Nominal
-from hil.robot.kinematics import twist_of_vectors, wheel_vectors
+from hil.robot.kinematics import forward
 
 Rows = npt.NDArray[np.int_]
 
@@ -51,8 +51,8 @@ class WheelMotion:
     def of(cls, t_s: Array, angle: Array, steering: Array, nominal: Nominal) -> WheelMotion:
         """Motion of wheel rows: times (n,), s, wheel and steering angles (n, 4), rad."""
         wheels, middle = nominal.geometry, 0.5 * (steering[1:] + steering[:-1])
-        u = wheel_vectors(np.diff(angle, axis=0) * wheels.radius_m, middle - wheels.steering_zero_rad)
-        heading = np.concatenate([[0.0], np.cumsum(twist_of_vectors(wheels, u)[:, 2])])
+        turns = forward(wheels, np.diff(angle, axis=0) * wheels.radius_m, middle)[:, 2]
+        heading = np.concatenate([[0.0], np.cumsum(turns)])
         grid_s = np.arange(t_s[0], t_s[-1] + 2.0 * _GRID_S, _GRID_S)
         ways = [np.abs(np.diff(np.interp(grid_s, t_s, column))).max(initial=0.0) for column in angle.T]
         turn = np.pad(np.abs(np.diff(np.interp(grid_s, t_s, heading))), _BESIDE)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from hil.core.geometry import Array, Bools
 from hil.datasets.sampling import interpolate, is_slow, wheel_steps
 from hil.datasets.wheel_log import Recording
-from hil.robot.kinematics import twist_of_vectors, wheel_vectors
+from hil.robot.kinematics import forward
 
 _GRID_S, _WIDE, _NARROW = 0.02, 20, 6
 _BESIDE, _USUAL, _FEWEST = 25, 99.0, 200
@@ -76,8 +76,7 @@ def seam(one: Recording) -> Seam | None:
         return None
     pose, wheels = interpolate(grid_s, one.truth_t_s, one.truth_pose), one.nominal.geometry
     rotation, steering = wheel_steps(one, grid_s, "position")
-    vectors = wheel_vectors(rotation * wheels.radius_m, steering - wheels.steering_zero_rad)
-    x, y, turn = twist_of_vectors(wheels, vectors).T
+    x, y, turn = forward(wheels, rotation * wheels.radius_m, steering).T
     middle = np.exp(0.5j * (pose[1:, 2] + pose[:-1, 2]))
     place = np.diff(pose[:, 0] + 1j * pose[:, 1]) - (x + 1j * y) * middle
     counts = _steady(np.column_stack([x, y, turn])) & _measured(one, grid_s)
