@@ -6,7 +6,6 @@ same at all steering angles and times; what grows with one of these is named.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -32,10 +31,7 @@ def with_angle_faults(recordings: Sequence[Recording]) -> list[Recording]:
     left = [None if k in found else own for k, own in enumerate(every)]
     if said := _drifts(left) or _scaled(left, [one.motion for one in recordings]):
         found |= {k: said for k, own in enumerate(left) if own is not None}
-    return [
-        replace(one, contradictions=(*one.contradictions, found[k])) if k in found else one
-        for k, one in enumerate(recordings)
-    ]
+    return [one.contradicted(found[k]) if k in found else one for k, one in enumerate(recordings)]
 
 
 def _stuck(own: Stretches) -> str:

@@ -7,7 +7,6 @@ where all rates are whole multiples of one unit, whatever the motion.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -43,7 +42,7 @@ def with_integrated_angles(recordings: Sequence[Recording]) -> list[Recording]:
             "to row, where counted angles alternate: they were integrated from rounded rates, and miss up to "
             f"{100.0 * lost:.1f} % of the way; take the angles that the encoders count"
         )
-        out[k] = replace(out[k], contradictions=(*out[k].contradictions, said))
+        out[k] = out[k].contradicted(said)
     return out
 
 

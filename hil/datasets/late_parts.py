@@ -7,7 +7,7 @@ number for the whole set: it is named where it explains clearly more than anythi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -98,10 +98,7 @@ def with_late_parts(recordings: Sequence[Recording]) -> list[Recording]:
     }
     if not (said := _late(list(found.values()))):
         return list(recordings)
-    return [
-        replace(one, contradictions=(*one.contradictions, said)) if k in found else one
-        for k, one in enumerate(recordings)
-    ]
+    return [one.contradicted(said) if k in found else one for k, one in enumerate(recordings)]
 
 
 def _late(found: Sequence[Mapping[str, Array]]) -> str:

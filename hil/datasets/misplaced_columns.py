@@ -7,7 +7,6 @@ the change is about 1, and most of the difference goes with it. Tolerances of a 
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 from hil.core.signals import WHEELS
 from hil.datasets.column_moves import GRID_S, IN_ORDER, MOST, Change, Moves, Support
@@ -109,7 +108,7 @@ def _of_another_sign(recordings: Sequence[Recording], nominal: Nominal) -> set[i
 
 
 def _contradicted(one: Recording, support: Support) -> Recording:
-    return replace(one, contradictions=(*one.contradictions, support.change.in_words()))
+    return one.contradicted(support.change.in_words())
 
 
 def _best(found: dict[str, Support]) -> Support | None:

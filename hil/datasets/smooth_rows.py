@@ -5,7 +5,6 @@ these poses and none between them; and they swing before a start and after a sto
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,8 +30,8 @@ def with_smooth_rows(recordings: Sequence[Recording]) -> list[Recording]:
     for one in recordings:
         near_m, far_m = swings_m(one)
         smooth = far_m > _LEAST_M and near_m < _SHARE * far_m
-        said = (*one.contradictions, _SMOOTH.format(1e3 * far_m, far_m / max(near_m, _NOTHING_M)))
-        out.append(replace(one, contradictions=said) if smooth else one)
+        said = _SMOOTH.format(1e3 * far_m, far_m / max(near_m, _NOTHING_M))
+        out.append(one.contradicted(said) if smooth else one)
     return out
 
 

@@ -6,7 +6,7 @@ leaves, and from the noise of the whole recording. Noise that changes slowly is 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -67,12 +67,12 @@ def with_truth_at_rest(recordings: Sequence[Recording]) -> list[Recording]:
         common = np.array([_common(some, k) for k in range(3)])
         if common.any():
             said = f"{_in_words(common)} (all {len(some)} rests {where}): {FRAME_OR_SLIDE}"
-            return [replace(one, contradictions=(*one.contradictions, said)) for one in recordings]
+            return [one.contradicted(said) for one in recordings]
     out = []
     for one, own in zip(recordings, found, strict=True):
         alone = _alone(own)
         said = f"{_in_words(alone)} ({_count(own)}): {FRAME_OR_SLIDE}"
-        out.append(replace(one, contradictions=(*one.contradictions, said)) if alone.any() else one)
+        out.append(one.contradicted(said) if alone.any() else one)
     return out
 
 

@@ -5,7 +5,6 @@ turns so. A slide down a wall does: the two cannot be told apart.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -33,7 +32,7 @@ def with_truth_in_turns(recordings: Sequence[Recording]) -> list[Recording]:
         f"its ground truth drifts by {1e3 * abs(common):.2f} mm/s beside the wheels while the body turns "
         f"({len(measured)} recordings, of which none rests): {FRAME_OR_SLIDE}"
     )
-    return [replace(one, contradictions=(*one.contradictions, said)) for one in recordings]
+    return [one.contradicted(said) for one in recordings]
 
 
 def drift_m_s(one: Recording) -> tuple[complex, float] | None:

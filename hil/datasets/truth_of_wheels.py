@@ -65,7 +65,7 @@ def with_odometry_in_truth(recordings: Sequence[Recording]) -> list[Recording]:
         sums = own if k in alone else together
         share = _share(sums) if own.any() else 0.0
         if share > _trembles(sums) + _MORE:
-            out[k] = replace(one, contradictions=(*one.contradictions, _MIXED.format(share)))
+            out[k] = one.contradicted(_MIXED.format(share))
         elif share:
             maybe.append((one.name, share))
     if maybe:

@@ -54,7 +54,7 @@ def with_truth_scales(recordings: Sequence[Recording]) -> list[Recording]:
             "those of the lines; take all recordings with one calibration of the cameras"
         )
         for k in curves:
-            out[k] = replace(out[k], contradictions=(*out[k].contradictions, said))
+            out[k] = out[k].contradicted(said)
     unlike = _sideways_beyond_ahead(known)
     if abs(unlike) > _LINES and out:
         note = (

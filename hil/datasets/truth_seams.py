@@ -7,7 +7,7 @@ are gaps, and poses that are held: behind them the path catches up.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -61,7 +61,7 @@ def with_truth_seams(recordings: Sequence[Recording]) -> list[Recording]:
     hidden = _HIDDEN.format(many, len(found)) if many >= _SEVERAL and _QUARTER * many >= len(found) else ""
     said = [hidden if own is None else own.in_words() for own in found]
     return [
-        replace(one, contradictions=(*one.contradictions, why)) if why and not one.contradictions else one
+        one.contradicted(why) if why and not one.contradictions else one
         for one, why in zip(recordings, said, strict=True)
     ]
 

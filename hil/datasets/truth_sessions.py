@@ -109,7 +109,7 @@ def with_other_sessions(recordings: Sequence[Recording]) -> list[Recording]:
             continue
         said, one = _of_scale(k, measured, choice, names, cause), out[k]
         out[k] = (
-            replace(one, contradictions=(*one.contradictions, said))
+            one.contradicted(said)
             if len(found) >= _MOTIONS
             else replace(one, notes=(*one.notes, f"{one.name}: {said}"))
         )

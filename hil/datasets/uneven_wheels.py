@@ -7,7 +7,7 @@ anew or was misread.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def with_uneven_wheels(recordings: Sequence[Recording]) -> list[Recording]:
             which = _OPEN.format(against(choice.open[k], names))
         by = off[k] - complex(np.mean([off[i] for i in others]))
         said = _OTHERWISE.format(WHEELS[wheel]) + which + _of_wheel(by, wheel)
-        out[k] = replace(out[k], contradictions=(*out[k].contradictions, said))
+        out[k] = out[k].contradicted(said)
     return out
 
 

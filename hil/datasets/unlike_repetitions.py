@@ -8,7 +8,7 @@ other one clearly more.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -100,7 +100,7 @@ def with_unlike_repetitions(recordings: Sequence[Recording]) -> list[Recording]:
             said = _UNKNOWN.format(against(choice.open[k], names)) + _sizes(
                 cause, choice.open[k], lack, found
             )
-        out[k] = replace(out[k], contradictions=(*out[k].contradictions, said))
+        out[k] = out[k].contradicted(said)
     return out
 
 

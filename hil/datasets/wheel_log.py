@@ -96,6 +96,10 @@ class Recording:
         """Whether there is ground truth."""
         return len(self.truth_t_s) > 0
 
+    def contradicted(self, *said: str) -> Recording:
+        """A copy with further contradictions, in words."""
+        return replace(self, contradictions=(*self.contradictions, *said))
+
     def warnings(self) -> tuple[str, ...]:
         """Losses and repairs, one line each."""
         of = f"its figures are of {self.t_s[-1] - self.t_s[0]:.1f} s that were read"
