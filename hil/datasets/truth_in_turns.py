@@ -11,8 +11,8 @@ import numpy as np
 from hil.core.geometry import Array
 from hil.datasets.truth_at_rest import FRAME_OR_SLIDE, rests
 from hil.datasets.truth_deviations import significant
-from hil.datasets.wheel_displacements import Drive, by_truth, by_wheels, rolling
 from hil.datasets.wheel_log import Recording
+from hil.datasets.wheel_stretches import Stretches
 
 _TURNED_RAD, _FEWEST, _ROUNDS, _USUAL = 5.0, 16, 6, 1.5
 _SPEED_M_S, _STD_M_S, _SERIAL, _NOTHING_M = 3e-4, 3e-4, 3.0, 1e-9
@@ -41,21 +41,11 @@ def drift_m_s(one: Recording) -> tuple[complex, float] | None:
     Ways of the middle of the wheels over half a second are fitted by what the wheels say, scaled and turned,
     and by a steady speed of the frame. Stretches in which the robot slips count less (Huber's weights).
     """
-    if not one.has_truth or one.of_twist:
+    own = Stretches.of(one)
+    if own is None or len(own.at_s) < _FEWEST or np.ptp(own.heading_rad) < _TURNED_RAD:
         return None
-    drive = Drive(one.t_s, one.wheel_angle_rad, one.steering_rad, one.truth_t_s, one.truth_pose)
-    edges_s, wheels = drive.edges_s(), one.nominal.geometry
-    if len(edges_s) <= _FEWEST:
-        return None
-    rolled = by_wheels(drive, edges_s, wheels)
-    moved = by_truth(one.truth_t_s, drive.pose, edges_s, wheels)
-    mask = rolling(rolled, moved, drive.known(edges_s), wheels)
-    heading = np.interp(edges_s, one.truth_t_s, one.truth_pose[:, 2])
-    theta = 0.5 * (heading[1:] + heading[:-1])[mask]
-    if np.count_nonzero(mask) < _FEWEST or np.ptp(theta) < _TURNED_RAD:
-        return None
-    way, wanted = rolled[mask].mean(axis=1), moved[mask].mean(axis=1)
-    rows = np.column_stack([way, np.exp(-1j * theta) * np.diff(edges_s)[mask], np.ones_like(way)])
+    way, wanted = own.rolled.mean(axis=1), own.moved.mean(axis=1)
+    rows = np.column_stack([way, np.exp(-1j * own.heading_rad) * own.lasts_s, np.ones_like(way)])
     left, weight = wanted - way, np.ones(len(way))
     for _ in range(_ROUNDS):
         by = weight[:, None]

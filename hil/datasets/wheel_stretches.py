@@ -22,6 +22,8 @@ class Stretches:
 
     Attributes:
         at_s: (s,) middle, s since the begin of the recording.
+        lasts_s: (s,) length, s.
+        heading_rad: (s,) heading of the body by ground truth, the mean of begin and end.
         rolled: (s, 4) ways of the wheels by their angles, m.
         moved: (s, 4) ways by ground truth.
         turned: (s, 4) turns of the wheel angles, rad.
@@ -32,6 +34,8 @@ class Stretches:
     """
 
     at_s: Array
+    lasts_s: Array
+    heading_rad: Array
     rolled: Complexes
     moved: Complexes
     turned: Array
@@ -60,11 +64,14 @@ class Stretches:
         )
         mask = rolling(rolled, moved, drive.known(edges_s), wheels)
         phi, delta = (interpolate(edges_s, one.t_s, c) for c in (one.wheel_angle_rad, one.steering_rad))
-        at_s = 0.5 * (edges_s[1:] + edges_s[:-1]) - one.t_s[0]
+        at_s, lasts_s = 0.5 * (edges_s[1:] + edges_s[:-1]) - one.t_s[0], np.diff(edges_s)
+        heading = np.interp(edges_s, one.truth_t_s, one.truth_pose[:, 2])
+        heading_rad = 0.5 * (heading[1:] + heading[:-1])
         pair = np.stack([delta[:-1], delta[1:]])[:, mask]
         turned = np.abs(np.diff(phi, axis=0))[mask]
         noise = noise_of_ways_m(one), float(white_noise(one)[2])
-        made = cls(at_s[mask], rolled[mask], moved[mask], turned, pair, *noise)
+        when = at_s[mask], lasts_s[mask], heading_rad[mask]
+        made = cls(*when, rolled[mask], moved[mask], turned, pair, *noise)
         return made if len(made.at_s) >= _FEWEST else None
 
     @property
