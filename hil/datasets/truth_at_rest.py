@@ -7,6 +7,7 @@ leaves, and from the noise of the whole recording. Noise that changes slowly is 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -108,7 +109,16 @@ def _count(rests: Sequence[_Rest]) -> str:
 
 
 def rests(one: Recording) -> list[tuple[Array, Array]]:
-    """Times (n,), s, and poses (n, 3) in the rests of a recording, without the time in which tyres relax."""
+    """Times (n,), s, and poses (n, 3) in the rests of a recording. Cached.
+
+    The time in which tyres relax is left out.
+    """
+    if "rests" not in one.derived:
+        one.derived["rests"] = _rests(one)
+    return cast("list[tuple[Array, Array]]", one.derived["rests"])
+
+
+def _rests(one: Recording) -> list[tuple[Array, Array]]:
     if not one.has_truth or one.of_twist:
         return []
     grid_s = np.arange(one.t_s[0], one.t_s[-1], _GRID_S)
