@@ -5,8 +5,10 @@ changed between them. The larger group is kept. Where none is larger, the repeti
 tell; else nothing says which is right.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+
+from hil.datasets.wheel_log import Recording
 
 Groups = Sequence[Sequence[int]]
 """Indices of the recordings of a motion, by group."""
@@ -35,6 +37,22 @@ def grouped(members: Sequence[int], differ: Callable[[int, int], bool]) -> list[
         else:
             out.append([k])
     return out
+
+
+def by_motion(
+    recordings: Sequence[Recording], members: Iterable[int], differ: Callable[[int, int], bool]
+) -> dict[str, list[list[int]]]:
+    """Groups of the repetitions of each motion.
+
+    Args:
+        recordings: all recordings.
+        members: indices of those that are grouped.
+        differ: whether two of them measured something else.
+    """
+    motions = dict[str, list[int]]()
+    for k in members:
+        motions.setdefault(recordings[k].motion, []).append(k)
+    return {motion: grouped(own, differ) for motion, own in motions.items()}
 
 
 def chosen(motions: Mapping[str, Groups], nearer: Callable[[Groups], Sequence[int] | None]) -> Choice:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.datasets.repetition_groups import Choice, Groups, against, chosen, grouped
+from hil.datasets.repetition_groups import Choice, Groups, against, by_motion, chosen
 from hil.datasets.truth_deviations import STDS, typical
 from hil.datasets.truth_fit import TruthFit
 from hil.datasets.wheel_log import Recording
@@ -144,15 +144,12 @@ def _of_turns(recordings: Sequence[Recording], motions: Mapping[str, Groups]) ->
 
 def _groups(recordings: Sequence[Recording], measured: _Measured, least: float) -> dict[str, list[list[int]]]:
     """Groups of each motion, between which there are gaps of `least` and of four standard errors."""
-    members = dict[str, list[int]]()
-    for k in measured:
-        members.setdefault(recordings[k].motion, []).append(k)
 
     def differ(one: int, other: int) -> bool:
         (a, a_std), (b, b_std) = measured[one], measured[other]
         return abs(a - b) > max(least, STDS * float(np.hypot(a_std, b_std)))
 
-    return {motion: grouped(own, differ) for motion, own in members.items()}
+    return by_motion(recordings, measured, differ)
 
 
 def _nearer_to(measured: _Measured, others: Sequence[float]) -> Callable[[Groups], Sequence[int] | None]:

@@ -6,14 +6,14 @@ explains is taken out of each stretch. A wheel that alone explains what is left 
 anew or was misread.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
-from hil.datasets.repetition_groups import Groups, against, chosen, grouped
+from hil.datasets.repetition_groups import against, by_motion, chosen, grouped
 from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
 from hil.datasets.wheel_stretches import Stretches
@@ -62,10 +62,11 @@ def with_uneven_wheels(recordings: Sequence[Recording]) -> list[Recording]:
         return list(recordings)
     wheel, usual, refined = named
     off = dict(zip(found, usual, strict=True))
-    motions = _by_motion(recordings, off)
+    # geometry does the same to all repetitions of a motion
+    motions: dict[str, list[list[int]]] = by_motion(recordings, off, _differ(off))
     if sum(len(groups) > 1 for groups in motions.values()) < _MOTIONS:
         off = dict(zip(found, refined, strict=True))
-        motions = {"": _groups(list(found), off)}
+        motions = {"": grouped(list(found), _differ(off))}
     choice = chosen(motions, lambda _: None)
     names, out = [one.name for one in recordings], list(recordings)
     for k in sorted({*choice.kept, *choice.open}):
@@ -80,16 +81,8 @@ def with_uneven_wheels(recordings: Sequence[Recording]) -> list[Recording]:
     return out
 
 
-def _by_motion(recordings: Sequence[Recording], off: Mapping[int, complex]) -> dict[str, Groups]:
-    """Groups of the repetitions of each motion: geometry does the same to all of them."""
-    members = dict[str, list[int]]()
-    for k in off:
-        members.setdefault(recordings[k].motion, []).append(k)
-    return {motion: _groups(own, off) for motion, own in members.items()}
-
-
-def _groups(members: Sequence[int], off: Mapping[int, complex]) -> Groups:
-    return grouped(members, lambda a, b: _size(off[a] - off[b]) > _DIFFERS)
+def _differ(off: Mapping[int, complex]) -> Callable[[int, int], bool]:
+    return lambda a, b: _size(off[a] - off[b]) > _DIFFERS
 
 
 def _of_wheel(by: complex, wheel: int) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
-from hil.datasets.repetition_groups import Groups, against, chosen, grouped
+from hil.datasets.repetition_groups import Groups, against, by_motion, chosen
 from hil.datasets.truth_deviations import STDS
 from hil.datasets.wheel_displacements import Complexes
 from hil.datasets.wheel_log import Recording
@@ -76,13 +76,7 @@ def with_unlike_repetitions(recordings: Sequence[Recording]) -> list[Recording]:
     A factor that all wheels have in common is left to `hil.datasets.truth_sessions`: a clock may explain it.
     """
     found = {k: ways for k, one in enumerate(recordings) if (ways := _Ways.of(one)) is not None}
-    by_motion = dict[str, list[int]]()
-    for k in found:
-        by_motion.setdefault(recordings[k].motion, []).append(k)
-    motions = {
-        motion: grouped(members, lambda a, b: _differ(found[a], found[b]))
-        for motion, members in by_motion.items()
-    }
+    motions = by_motion(recordings, found, lambda a, b: _differ(found[a], found[b]))
     if sum(len(groups) > 1 for groups in motions.values()) < _MOTIONS:
         return list(recordings)
     choice = chosen(motions, lambda groups: None)
