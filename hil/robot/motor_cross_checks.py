@@ -10,6 +10,7 @@ current, grows with the square of the speed, its power with the third power.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -247,6 +248,11 @@ def steady_band_rpm(ratings: MotorRatings, speed_rpm: float) -> float:
     """
     share = (speed_rpm / ratings.rated_rpm) ** 2
     return ratings.rated_rpm * min(max(_STEADY_SHARE * share, _LEAST_STEADY_SHARE), _STEADY_SHARE)
+
+
+def is_steady(ratings: MotorRatings, speeds_rpm: Sequence[float], speed_rpm: float) -> bool:
+    """Whether speeds of a second or more, 1/min, about a typical one are those of a steady motor."""
+    return max(speeds_rpm) - min(speeds_rpm) < steady_band_rpm(ratings, speed_rpm)
 
 
 class Steadiness:

@@ -12,9 +12,10 @@ from hil.config.load_cells import LoadCellsConfig
 from hil.core.cross_check import CrossCheck, Unit
 from hil.core.signals import Status, worst
 from hil.robot.believed_force import apart, tolerated_n
-from hil.robot.motor_cross_checks import Reading, cross_check
+from hil.robot.motor_cross_checks import Reading, cross_check, is_steady
 
 _STEADY_SHARE = 0.02
+"""Share of the rated speed by which the speed may change while its force is compared with the load cells."""
 _LEAST_N = 5.0
 """Force from which the scales show in it."""
 _RATED_N, _RATED_RPM = "adhesion.rated_force_n", "adhesion.rated_rpm"
@@ -39,7 +40,8 @@ def force_checks(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
     speeds = [s.speed_rpm for s in usable]
     middle = Reading(*(_middle([float(getattr(s, name)) for s in usable]) for name in Reading._fields))
     steady = max(speeds) - min(speeds) < _STEADY_SHARE * fan.rated_rpm
-    own = cross_check(fan.ratings(), middle, steady=steady)
+    ratings = fan.ratings()
+    own = cross_check(ratings, middle, steady=is_steady(ratings, speeds, middle.speed_rpm))
     yield from (
         _by_power(config, fan, seen, middle, own)
         if own.state == "contradicted" and own.by == "power"

@@ -16,7 +16,7 @@ from hil.core.signals import AdhesionSample, Inputs, Status
 from hil.drivers.adhesion.dronecan.model import DroneCan
 from hil.drivers.adhesion.vesc.model import Vesc
 from hil.drivers.doctor_watch import Watched, losses
-from hil.robot.motor_cross_checks import Reading, cross_check, steady_band_rpm
+from hil.robot.motor_cross_checks import Reading, cross_check, is_steady
 
 if TYPE_CHECKING:
     from hil.recording.rosbags_adapter import MessageMaker
@@ -64,8 +64,7 @@ def _speed(samples: Sequence[AdhesionSample], config: AdhesionConfig) -> Finding
         return Finding("adhesion", "speed", "failure", "no usable report", "its speed", _RATINGS)
     middle = [_middle([float(getattr(s, name)) for s in usable]) for name in Reading._fields]
     speeds = [s.speed_rpm for s in usable]
-    steady = max(speeds) - min(speeds) < steady_band_rpm(ratings, middle[0])
-    check = cross_check(ratings, Reading(*middle), steady=steady)
+    check = cross_check(ratings, Reading(*middle), steady=is_steady(ratings, speeds, middle[0]))
     force_n = ratings.force_at_n(middle[0])
     found = check.text or f"{middle[0]:.0f} 1/min, good for {force_n:.1f} N"
     if check.state == "confirmed":
