@@ -12,6 +12,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
+from hil.core.cross_check import bound_text
 from hil.core.event_rows import injected_line
 from hil.core.rounding import digits_apart
 from hil.report.page_figures import theme
@@ -34,6 +35,7 @@ def environment() -> Environment:
     env.filters["number"] = number
     env.filters["duration"] = duration
     env.filters["injected"] = injected_line
+    env.filters["bound"] = bound_text
     script = files("hil.report").joinpath("templates/figure.js").read_text("utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     env.globals |= {
