@@ -70,7 +70,7 @@ def test_turns_on_a_wall_are_refused_before_anything_is_opened(tmp_path):
 
 
 def test_turns_that_a_wall_allows_are_planned_there():
-    settings = {"motions": "line_x,rotation_ccw,rotation_cw", "turns": 0.04, "line_m": 0.35}
+    settings = {"motions": "line_x,rotation_ccw,rotation_cw", "turns": 0.03, "line_m": 0.35}
     plan = dry_run(load_procedure("odometry_calibration"), BenchSource("emulated"), settings)
     assert plan["trajectories_checked"] == 3
 
